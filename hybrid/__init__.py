@@ -43,32 +43,26 @@ if TYPE_CHECKING:
     from splat.model.forest import Forest as Forest
     from splat.training.trainer import TrainingSettings as TrainingSettings
 
-_MODULES = {
-    "Camera": "compose.camera.camera",
-    "CaptureSettings": "pathtrace.dataset.frame_set",
-    "Display": "compose.eye.display",
-    "EvaluationSettings": "hybrid.evaluation.evaluation_settings",
-    "Forest": "splat.model.forest",
-    "FoveaMode": "compose.fovea.foveation",
-    "Frame": "hybrid.render.frame",
-    "FrameSet": "pathtrace.dataset.frame_set",
-    "FrameSettings": "hybrid.render.frame_settings",
-    "Gaze": "compose.eye.gaze",
-    "PreparationSettings": "hybrid.preparation.stages",
-    "Renderer": "hybrid.render.frame_renderer",
-    "Scene": "pathtrace.scene.scene",
-    "SplatRenderer": "hybrid.render.splat_renderer",
-    "TrainingSettings": "splat.training.trainer",
-    "UserError": "compose.base.errors",
-    "capture": "hybrid.api.workflow",
-    "evaluate": "hybrid.api.evaluation_report",
-    "load_forest": "hybrid.api.workflow",
-    "load_frames": "hybrid.api.workflow",
-    "load_scene": "hybrid.api.workflow",
-    "plan": "hybrid.api.workflow",
-    "prepare": "hybrid.api.workflow",
-    "select_backend": "pathtrace.scene.backend",
-    "train": "hybrid.api.workflow",
+_NAMES = {
+    "compose.base.errors": "UserError",
+    "compose.camera.camera": "Camera",
+    "compose.eye.display": "Display",
+    "compose.eye.gaze": "Gaze",
+    "compose.fovea.foveation": "FoveaMode",
+    "hybrid.api.evaluation_report": "evaluate",
+    "hybrid.api.workflow": "capture load_forest load_frames load_scene plan prepare train",
+    "hybrid.evaluation.evaluation_settings": "EvaluationSettings",
+    "hybrid.preparation.stages": "PreparationSettings",
+    "hybrid.render.frame": "Frame",
+    "hybrid.render.frame_renderer": "Renderer",
+    "hybrid.render.frame_settings": "FrameSettings",
+    "hybrid.render.splat_renderer": "SplatRenderer",
+    "pathtrace.dataset.frame_set": "CaptureSettings FrameSet",
+    "pathtrace.scene.backend": "select_backend",
+    "pathtrace.scene.scene": "Scene",
+    "splat.model.forest": "Forest",
+    "splat.training.trainer": "TrainingSettings",
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = sorted(_MODULES)
 __getattr__, __dir__ = names_on_demand(__name__, _MODULES)

@@ -23,12 +23,7 @@ _KEYS_PER_BUCKET = 4
 
 
 class Arrays:
-    """Array types of the LLVM or the CUDA backend.
-
-    Attributes:
-        plain: the module of array types without derivatives, for hand-written kernels.
-        ad: the module of array types that Dr.Jit differentiates.
-    """
+    """Array types of a backend: `plain` ones for hand-written kernels, and `ad` ones with derivatives."""
 
     def __init__(self, backend: BackendName):
         import drjit.cuda

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import operator
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +32,17 @@ def one_line(error: BaseException | str) -> str:
     return line if len(line) <= 300 else f"{line[:300]}..."
 
 
-def require_seed(seed: Any) -> int:
-    """Checks a seed before any work.
+@contextmanager
+def reading(path: object) -> Iterator[None]:
+    """Turns an OSError or ValueError inside into a UserError that says which file cannot be read."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
 
-    Raises:
-        UserError: it is not a whole number from 0 to MOST_SEED.
-    """
+
+def require_seed(seed: Any) -> int:
+    """Checks a seed before any work; UserError unless it is a whole number from 0 to MOST_SEED."""
     try:
         number = operator.index(seed)
     except TypeError:
@@ -46,14 +53,10 @@ def require_seed(seed: Any) -> int:
 
 
 def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
-    """Name and hash of a scene, which become parts of paths, so they must not be paths.
+    """Name and hash of a scene, which become parts of paths, so they must not be paths; else ValueError.
 
-    Args:
-        name: at most 200 bytes of printable characters, neither slash nor backslash, no leading dot.
-        digest: up to 64 hexadecimal digits in lower case; empty for what fits any scene.
-
-    Raises:
-        ValueError: one of them is anything else.
+    A name is at most 200 bytes of printable characters, without slashes, backslashes, or a leading dot. A
+    hash has up to 64 hexadecimal digits in lower case, none for what fits any scene.
     """
     good = isinstance(name, str) and name.isprintable() and not set("/\\") & set(name)
     if not good or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
@@ -64,11 +67,7 @@ def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
 
 
 def file_inside(folder: Path, name: Any) -> Path:
-    """A file by its name relative to a folder.
-
-    Raises:
-        ValueError: it would lie outside the folder, or is not a file name.
-    """
+    """A file by its name relative to a folder; ValueError if it would lie outside, or is not a file name."""
     is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_PART
     if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
         raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")

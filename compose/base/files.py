@@ -45,8 +45,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         path: the target; its folder is created.
         write: writes the content to the path it is given, which has the target's extension.
 
-    Raises:
-        UserError: the path names no file, or it cannot be written; no partial file is left.
+    UserError if the path names no file, or it cannot be written; no partial file is left.
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
@@ -167,11 +166,9 @@ def _mode_of_new_files(part: Path) -> int:
 
 
 def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> Any:
-    """The content of a JSON file.
+    """The content of a JSON file of at most that many bytes.
 
-    Args:
-        most_bytes: larger files are refused before they are read.
-        finite: whether to refuse NaN and Infinity, which JSON does not have but Python writes.
+    Unless it must be `finite`, it may hold NaN and Infinity, which JSON does not have but Python writes.
 
     Raises:
         OSError: the file cannot be read.
@@ -182,11 +179,7 @@ def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> 
 
 
 def parse_json(text: str, finite: bool = True) -> Any:
-    """The content of a JSON text.
-
-    Raises:
-        ValueError: it is not JSON, nested too deeply, or a number in it is too large.
-    """
+    """The content of a JSON text; ValueError if it is not JSON, too deep, or a number is too large."""
     constant = _refused if finite else float
     try:
         return json.loads(text, parse_int=_whole, parse_float=_number, parse_constant=constant)

@@ -58,11 +58,9 @@ def _system_libraries() -> Iterable[Path]:
 def find_llvm() -> Llvm:
     """The LLVM to use: DRJIT_LIBLLVM_PATH, else the newest usable one of the system, else the pip package's.
 
-    Raises:
-        UserError: there is none, or only versions that Dr.Jit cannot use.
+    UserError if there is none, or only versions that Dr.Jit cannot use.
     """
-    explicit = os.environ.get(_PATH_VARIABLE)
-    if explicit:
+    if explicit := os.environ.get(_PATH_VARIABLE):
         return _explicit_llvm(explicit)
     too_old: set[int] = set()
     for libraries in (_system_libraries(), (Path(sys.prefix) / "lib").glob("libLLVM*.so*")):
@@ -121,11 +119,9 @@ def let_waiting_threads_sleep() -> None:
 def names_on_demand(
     package: str, modules: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a package whose names are imported when they are first used.
+    """The `__getattr__` and `__dir__` of a package, by its `__name__`, that imports names on first use.
 
-    Args:
-        package: its `__name__`.
-        modules: where its names are defined, by name.
+    Of each name, `modules` says where it is defined.
     """
     own = vars(sys.modules[package])
 

@@ -17,20 +17,14 @@ from compose.base.arrays import Arrays, uploaded
 
 # Classes of gloss in ascending order: plain integers, for kernels of Dr.Jit and arrays of NumPy alike.
 DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
-# Numbers of movers: of what stands still; from 1 on, of what moves rigidly; and of what deforms, or is seen
-# in a mirror, so that nobody knows where it is at another time.
+# Numbers of movers, from 1 on; of what stands still; and of what deforms, or is seen in a mirror, so that
+# nobody knows where it is at another time.
 STILL, UNSTEADY = 0, (1 << 14) - 1
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Numbers of samples of D pixels.
-
-    Attributes:
-        each: UInt (D,), of each pixel.
-        total: of all pixels.
-        most: upper bound of the number of any pixel.
-    """
+    """Numbers of samples of D pixels: UInt (D,) of each, their total, and an upper bound of all."""
 
     each: Any
     total: int
@@ -44,12 +38,10 @@ class Counts:
 
 @dataclass(frozen=True)
 class Moment:
-    """A time, and where things are at it.
+    """A time from 0 to 1, and where things are at it.
 
-    Attributes:
-        time: from 0 to 1.
-        poses: (K + 1, 3, 4) float64, from rest to that time, by the number of the mover; the identity for
-            what stands still.
+    Poses (K + 1, 3, 4), float64, lead from rest to that time, by the number of the mover; that of what stands
+    still is the identity.
     """
 
     time: float

@@ -75,9 +75,7 @@ class Camera:
 
     def at(self, camera_to_world: Array) -> Camera:
         """The same camera at another pose (4, 4); ValueError if that is not rigid."""
-        # Before it is inverted, which would turn a reflection or a scale into another matrix.
-        check_rigid(camera_to_world)
-        return replace(self, world_to_camera=_rigid_inverse(camera_to_world))
+        return camera_from_pose(camera_to_world, self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
     def moved_right(self, distance: float) -> Camera:
         """The camera moved to its right, by a distance in the units of its coordinates."""
@@ -161,11 +159,7 @@ def _dot(a: tuple[float, ...], b: tuple[float, ...]) -> float:
 def camera_from_pose(
     camera_to_world: Array, width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> Camera:
-    """A camera from its pose: (4, 4) camera-to-world, OpenCV axes.
-
-    Raises:
-        ValueError: as for `Camera`.
-    """
+    """A camera from its pose, (4, 4) camera-to-world in OpenCV axes; ValueError as for `Camera`."""
     # Before it is inverted, which would turn a reflection or a scale into another matrix.
     check_rigid(camera_to_world)
     return Camera(_rigid_inverse(camera_to_world), width, height, float(fx), float(fy), float(cx), float(cy))
@@ -180,8 +174,7 @@ def unit(vectors: Array, instead: float | Sequence[float] = 0.0) -> Array:
 def look_at(position: Array, target: Array, up: Array) -> Array:
     """(4, 4) camera-to-world in OpenCV axes that looks from position to target with up upwards, (3,) each.
 
-    Raises:
-        ValueError: position and target are the same, or up points along the direction between them.
+    ValueError if position and target are the same, or up points along the direction between them.
     """
     forward, aside = target - position, np.cross(target - position, up)
     distance, sine = np.linalg.norm(forward), np.linalg.norm(aside)

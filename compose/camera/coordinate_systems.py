@@ -29,8 +29,7 @@ _OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 class Place:
     """A scene's own coordinates: a point p of them lies at origin + unit * p in the world.
 
-    Raises:
-        ValueError: a number is not finite, or the unit not positive.
+    ValueError if a number is not finite, or the unit not positive.
     """
 
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -26,15 +26,11 @@ _VIEW = 17
 
 
 class SeenSurfaces:
-    """The surfaces that views see, each view as a small depth map.
+    """The surfaces that V views see, each view as a small depth map.
 
-    Args:
-        cameras: of V views.
-        depths: (V, h, w) depth along the view axis at the centres of h x w cells of each view's frame; where
-            there is nothing, a distance beyond everything that is asked for.
-
-    Raises:
-        ValueError: there is not one map per view, or no view.
+    Maps (V, h, w) are depths along the view axis at the centres of h x w cells of each view's frame; where
+    there is nothing, a distance beyond everything that is asked for. ValueError without a view, or a map of
+    each.
     """
 
     def __init__(self, arrays: Arrays, cameras: Sequence[Camera], depths: NDArray[np.float32]):

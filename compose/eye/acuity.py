@@ -17,7 +17,7 @@ from compose.base.errors import UserError
 
 Array = NDArray[np.float64]
 
-# The models of frames that must look right and of frames that must be quick, as compared in docs/measured.
+# Models of frames that must look right, and that must be quick, as compared in docs/measured.
 DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL = "fovvideovdp", "geisler-perry"
 COARSEST_RATE = 4  # log2 of pixels per sample along each axis
 # How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
@@ -146,12 +146,13 @@ class Step:
 def detail_steps(
     finest: float, ahead: float, finest_rates: tuple[int, ...], lowest: int, fade: float
 ) -> tuple[Step, ...]:
-    """What is drawn as the cut-off falls: layer after layer, each at one rate.
+    """What is drawn as the cut-off falls: steps from fine to coarse, layer after layer, each at one rate.
 
-    A layer fades into the next one just before the boundary of its level, where Fov-GS's Eq. 7 steps down:
-    at the edge of the full-quality region the second layer is drawn alone. The rate changes with the layer,
-    to the coarsest one that still carries what the cut-off lets through there. It changes on its own only
-    where one layer serves several octaves, as the finest and the coarsest do.
+    The first is drawn however high the cut-off is. A layer fades into the next one just before the boundary
+    of its level, where Fov-GS's Eq. 7 steps down: at the edge of the full-quality region the second layer is
+    drawn alone. The rate changes with the layer, to the coarsest one that still carries what the cut-off lets
+    through there. It changes on its own only where one layer serves several octaves, as the finest and the
+    coarsest do.
 
     Args:
         finest: the cut-off, in cycles per pixel, down to which layer L is required.
@@ -160,9 +161,6 @@ def detail_steps(
         finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
         lowest: coarsest layer that may be drawn.
         fade: fraction of an octave over which a step fades in.
-
-    Returns:
-        Steps from fine to coarse; the first one is drawn however high the cut-off is.
     """
     layers = len(finest_rates)
     steps = [Step(-np.inf, layers, finest_rates[-1])]

@@ -30,8 +30,7 @@ _FADE, _FADE_BY_SALIENCY = 0.22, 0.25
 # Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
 _FAITHFUL = 0.5
 _NYQUIST = 0.5  # cycles per pixel
-# Width of the blur that joins the responses of one object, as a fraction of the image's longer side (that of
-# Hou et al. 2012).
+# Width of the blur that joins the responses of one object, over the image's longer side (Hou et al. 2012).
 _BLUR = 0.045
 
 
@@ -63,12 +62,11 @@ def per_pixel(lattice: Lattice, width: int, height: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class LayerRange:
-    """The layers of a forest that may be drawn in a frame, and what they can show there.
+    """The layers of a forest that may be drawn in a frame, from L, the finest, to `lowest`.
 
     Attributes:
         finest_frequency: highest frequency that layer L can show, in cycles per pixel of the frame.
         finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
-        lowest: coarsest layer that may be drawn.
     """
 
     finest_frequency: float
@@ -132,11 +130,9 @@ def detail_map(
     layers: LayerRange,
     saliency: NDArray[np.float32] | None = None,
 ) -> DetailMap:
-    """The detail that a viewer of a display resolves.
+    """The detail that a viewer of a display resolves in a frame, shown around its centre, pixel by pixel.
 
     Args:
-        display: the frame is shown around its centre, pixel by pixel.
-        gaze: where the viewer looks.
         width, height: frame in pixels.
         acuity_model: gives cut-offs at eccentricities.
         fov_b: radius of the full-quality region in percent of the height; its edge is Fov-GS's e0.

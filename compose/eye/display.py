@@ -68,8 +68,7 @@ DISPLAYS = {"desktop": Display(1920, 1080, 55.0), "hmd": Display(1440, 1700, 97.
 def display_named(source: str) -> Display:
     """A display by name, or from a JSON file with width, height, fov and, optionally, luminance.
 
-    Raises:
-        UserError: no display has that name, or the file is missing or invalid.
+    UserError if no display has that name, or the file is missing or invalid.
     """
     if source in DISPLAYS:
         return DISPLAYS[source]

@@ -26,9 +26,8 @@ _COLUMNS = ["seconds", "x", "y"]
 _MOST_BYTES = 1 << 26
 # Samples per second of a simulated viewer, as by a typical eye tracker.
 _RATE = 120.0
-# Fixations while viewing scenes last 0.2 to 0.5 seconds; saccades span a few degrees, rarely more than 15
-# (Land and Hayhoe 2001; Bahill, Adler and Stark 1975). Here: median in seconds and spread of the logarithm;
-# mean and maximum in degrees.
+# Fixations last 0.2 to 0.5 seconds, saccades span a few degrees, rarely over 15 (Land and Hayhoe 2001;
+# Bahill, Adler and Stark 1975). Median in seconds, spread of the logarithm; mean and maximum in degrees.
 _FIXATION, _FIXATION_SPREAD = 0.33, 0.4
 _AMPLITUDE, _MOST_AMPLITUDE = 5.0, 15.0
 # Seconds that every saccade takes, and further seconds per degree (Carpenter 1988).
@@ -42,8 +41,7 @@ _TRIES = 100
 class Gaze:
     """Where the viewer looks, in fractions of the frame's width and height; may lie outside it.
 
-    Raises:
-        ValueError: a coordinate is not a number, or further than FURTHEST frames from the frame.
+    ValueError if a coordinate is not a number, or further than FURTHEST frames from the frame.
     """
 
     x: float = 0.5
@@ -61,11 +59,7 @@ class Gaze:
 
 
 def require_within_frame(x: float, y: float) -> None:
-    """Checks a gaze, in fractions of the frame, around which quality is to be measured.
-
-    Raises:
-        UserError: it lies outside the frame, or is NaN.
-    """
+    """UserError if a gaze around which quality is to be measured, in fractions, lies outside the frame."""
     if not (0 <= x <= 1 and 0 <= y <= 1):
         raise UserError(f"gaze {x} {y}: lies outside the frame; must be 0..1 each")
 
@@ -116,9 +110,8 @@ class GazeTrace:
 def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace:
     """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
 
-    Raises:
-        UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
-            backwards, or the trace lasts longer than `most_seconds`.
+    UserError if the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
+    backwards, or the trace lasts longer than `most_seconds`.
     """
     seconds: list[float] = []
     gazes: list[Gaze] = []
@@ -159,13 +152,9 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
 def simulated(display: Display, width: int, height: int, duration: float, seed: int) -> GazeTrace:
     """The gaze trace of a simulated viewer who looks around a frame: fixations, and saccades between them.
 
-    Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984).
-
-    Args:
-        display: the frame is shown around its centre.
-        width, height: frame in pixels.
-        duration: seconds.
-        seed: same seed, same trace.
+    The frame, of a width and height in pixels, is shown around the display's centre; the duration is in
+    seconds. Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984). Same seed, same
+    trace.
     """
     size = np.array([width, height])
     saccades = _saccades(display, size, duration, np.random.default_rng(seed))

@@ -31,11 +31,8 @@ _POWER = 0.8
 def disagreement(arrays: Arrays, denoised: list[Any], splat: list[Any], shape: tuple[int, int]) -> Any:
     """Float (h * w,), worth of further samples: how much two images differ in sRGB, over 5 x 5 pixels.
 
+    Both are three channels of linear radiance, Floats (h * w,), of the shape (h, w), at least one pixel.
     Where one of them is not a number, nothing is known, and they count as entirely different.
-
-    Args:
-        denoised, splat: three channels each, Floats (h * w,) of linear radiance.
-        shape: (h, w), at least one pixel.
     """
     squares = [dr.square(_srgb(a) - _srgb(b)) for a, b in zip(denoised, splat, strict=True)]
     difference = sum(squares) * (1 / 3)

@@ -136,22 +136,14 @@ def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
 
 
 def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
-    """The pixels of a disc that get samples, with adjusted weights, and how many samples each gets.
+    """The pixels of a disc that get samples, with adjusted weights, and how many each gets, at least 1.
 
-    Averaged over seeds, the blend is that of the whole disc. A pixel with weight w and n samples of variance
-    v has noise of variance w^2 v / n. For a given number of samples the sum of this over all pixels is least
-    with n in proportion to w (Neyman 1934): n = spp w. It is rounded to a whole number at random, but evenly
-    over the image. A pixel that is due less than one sample has weight 1 / spp if it gets one, and shows the
-    splats if it does not. So no pixel of the band is noisier than those inside it, as long as both images
-    agree.
-
-    Args:
-        disc: the whole disc.
-        spp: samples per pixel where the weight is 1.
-        seed: of the rounding.
-
-    Returns:
-        The disc of the pixels that get samples, and how many each gets, at least 1.
+    Averaged over seeds of the rounding, the blend is that of the whole disc. A pixel with weight w and n
+    samples of variance v has noise of variance w^2 v / n. For a given number of samples the sum of this over
+    all pixels is least with n in proportion to w (Neyman 1934): n = spp w. It is rounded to a whole number at
+    random, but evenly over the image. A pixel that is due less than one sample has weight 1 / spp if it gets
+    one, and shows the splats if it does not. So no pixel of the band is noisier than those inside it, as long
+    as both images agree.
     """
     if disc.covers_frame or not disc.count:
         return disc, spp

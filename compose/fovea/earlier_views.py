@@ -18,8 +18,7 @@ from compose.fovea.samples import RECORD
 MOST_VIEWS = 16
 # Floats that tell where a sample is, loaded as one packet.
 _PLACE = 4
-# The last float of a place holds the mover, the view's number and the class of gloss: 20 bits of the 24 that
-# a float holds exactly.
+# The last float of a place holds mover, view and class of gloss: 20 of the 24 bits that it holds exactly.
 _GLOSS_BITS, _VIEW_BITS = 2, (MOST_VIEWS - 1).bit_length()
 # Moments after which samples are dropped, since light has changed: shadows of two moments ago are seen.
 MOST_MOMENTS = 1
@@ -51,11 +50,8 @@ class EarlierView:
 class SamplePlaces:
     """Where M samples of earlier views are, as Dr.Jit arrays of width M.
 
-    Attributes:
-        position: three Floats, in the world; of what moves, at rest.
-        gloss: UInt, class of gloss of what was hit.
-        view: UInt, number of the view, less than MOST_VIEWS.
-        mover: UInt, number of what was hit among what moves.
+    The position is three Floats, in the world, or at rest if it moves. UInts are the class of gloss of what
+    was hit, the number of the view, less than MOST_VIEWS, and the number of what was hit among what moves.
     """
 
     position: list[Any]

@@ -39,15 +39,12 @@ class FoveaMode(Enum):
 
 @dataclass(frozen=True)
 class Foveation:
-    """Where the viewer looks and how large the fovea is.
+    """Where the viewer looks and how large the fovea is; UserError if a radius is out of its range.
 
     Attributes:
         gaze: in fractions of the frame.
-        fov_a: outer radius in percent of the height; 0 traces nothing.
-        fov_b: inner radius in percent of the height; no splats are visible inside it.
-
-    Raises:
-        UserError: a radius is negative or not finite, or fov-b is larger than fov-a.
+        fov_a: outer radius in percent of the height, 0 or more; 0 traces nothing.
+        fov_b: inner radius in percent of the height, from 0 to fov_a; no splats are visible inside it.
     """
 
     gaze: Gaze
@@ -198,15 +195,10 @@ class FoveaRegion:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Pixels of a disc, row by row.
+    """Pixels of a disc in R rows, from the `top` one on: their number, and the largest column plus 1.
 
-    Attributes:
-        top: first row.
-        start: (R,) first column in each row.
-        before: (R,) number of pixels in the rows above.
-        count: number of all pixels.
-        right: largest column, plus 1.
-        down_squared: (R,) squared vertical distance of each row from the centre.
+    Of each row (R,) there are the first column, the number of pixels above, and the squared distance from the
+    centre.
     """
 
     top: int

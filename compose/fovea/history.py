@@ -41,12 +41,10 @@ _MOST_SAMPLES = 32.0
 MOST_LATER = 0.5
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
-# What a view knows of a pixel besides what adds up: of what its first sample hit, position, gloss and mover.
-# Three floats are spare.
+# What else a view knows of a pixel: position, gloss and mover of its first hit. Three floats are spare.
 _HIT = 8
 _POINT, _GLOSS, _MOVER = slice(0, 3), 3, 4
-# What files of interrupted videos contain of a view by key: which columns of its records (0) or hits (1), and
-# as what.
+# What files of interrupted videos contain of a view: columns of its records (0) or hits (1), and as what.
 _SAVED: dict[str, tuple[int, int | slice, Any]] = {
     "count": (0, COUNT, np.float32),
     "light": (0, slice(RADIANCE.start, SQUARES.stop), np.float32),
@@ -135,12 +133,8 @@ class History:
     def see(self, camera: Camera, seen: Samples, positions: int, seed: int, disc: Disc) -> None:
         """Makes the camera's view the current one, and adds auxiliary features of it.
 
-        Args:
-            camera: the view.
-            seen: some pixels with newly traced auxiliary features; their light does not count.
-            positions: number of sample positions of which these features are means.
-            seed: of the samples to come.
-            disc: in which the pixels lie.
+        These are of some pixels `seen` in a disc, as means over a number of sample positions; the light of
+        `seen` does not count. The seed is that of the samples to come.
         """
         self._view = self._entered(camera, seen, seed, disc)
         if seen.size:

@@ -39,11 +39,9 @@ _FARTHEST = 0x7F800000
 class VisibleSurfaces:
     """The surfaces that samples of a view hit, around each pixel of the rectangle in which these lie.
 
-    Attributes:
-        box: the rectangle.
-        table: flat Float, for each of its pixels, row by row: the least and the greatest distance at which a
-            surface may be that is visible in it or in the eight around it; 1 if the pixel itself shows
-            something that mirrors or refracts, else 0; and 0.
+    The table is a flat Float, of each pixel, row by row: the least and the greatest distance at which a
+    surface may be that is visible in it or in the eight around it; 1 if the pixel itself shows something that
+    mirrors or refracts, else 0; and 0.
     """
 
     arrays: Arrays
@@ -64,10 +62,8 @@ class VisibleSurfaces:
     def contain(self, pixel: Any, distance: Any, gloss: Any, active: Any) -> Any:
         """Whether hits lie on these surfaces, if active, Bool (M,).
 
-        Args:
-            pixel: UInt (M,), index of a pixel of the rectangle.
-            distance: Float (M,), from the camera.
-            gloss: UInt (M,), class of gloss of what is hit.
+        Given are the pixel of the rectangle that each is in, UInt (M,), its distance from the camera, Float
+        (M,), and its class of gloss, UInt (M,).
         """
         around = self.arrays.packet(self.table, _AROUND, pixel, active)
         same = active & (distance >= around[0]) & (distance <= around[1])
@@ -109,12 +105,7 @@ def _around(arrays: Arrays, sampled: Any, height: int, width: int) -> Any:
 
 @dataclass(frozen=True)
 class Reprojected:
-    """Sums over reprojected samples, for the pixels of a rectangle of a frame.
-
-    Attributes:
-        box: the rectangle.
-        records: flat Float, h * w records (compose.fovea.samples), row by row.
-    """
+    """Sums over reprojected samples: h * w records (compose.fovea.samples), row by row, of a rectangle."""
 
     arrays: Arrays
     box: Box
@@ -135,17 +126,11 @@ class Reprojected:
 def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Reprojected | None:
     """What earlier views contribute to a camera's view, without what no longer holds.
 
+    New samples of it, all in a rectangle, show the surfaces that are visible now. The sums are over that
+    rectangle; None without samples on either side.
+
     Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
     at the border of a pixel must not end up on its other side. Distances and sums are float32.
-
-    Args:
-        views: the earlier views.
-        camera: the view.
-        new: samples of it, which show the surfaces that are visible now.
-        box: rectangle in which all of these lie.
-
-    Returns:
-        Sums over that rectangle; None if there are no samples on either side.
     """
     if not views.samples or not new.size:
         return None
@@ -158,9 +143,8 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
 def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[Any, Any]:
     """Where M samples of earlier views are visible among the P pixels of the surfaces' rectangle.
 
-    Returns:
-        UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on
-        a surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
+    UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on a
+    surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
     """
     arrays, plain = views.arrays, views.arrays.plain
     height, width = shape_of(surfaces.box)

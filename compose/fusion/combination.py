@@ -96,12 +96,9 @@ def _first_estimate(
 def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
     """Radiance and weights (N, 3, H, W) of splats and denoised samples, without anything fitted.
 
-    The bias of the splats is held against the variance of the denoised samples. The squared bias is the part
-    of the squared difference between samples and splats, averaged over about 6 x 6 pixels, that variance does
-    not explain; denoising is assumed to average over as many pixels.
-
-    Args:
-        traced, denoised, splat, variance: (N, 3, H, W) as in Parents.
+    Images are (N, 3, H, W) as in Parents. The bias of the splats is held against the variance of the denoised
+    samples. The squared bias is the part of the squared difference between samples and splats, averaged over
+    about 6 x 6 pixels, that variance does not explain; denoising is assumed to average over as many pixels.
     """
     samples, smooth, biased = _squarable(traced, denoised, splat)
     known = torch.where(torch.isfinite(variance), variance, (samples - smooth) ** 2)

@@ -19,13 +19,10 @@ _SPREAD = 0.5
 
 @dataclass(frozen=True)
 class Features:
-    """What the network sees, and the texture that it may add to the splats.
+    """What the network sees at full and at half resolution, and texture that it may add to the splats.
 
-    Attributes:
-        fine: (N, FINE.total, H, W).
-        coarse: (N, COARSE.total, H / 2, W / 2).
-        texture: three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12
-            pixels, which is what a blur of that size removes from an image.
+    Texture is three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12 pixels,
+    which is what a blur of that size removes from an image.
     """
 
     # The order is that of the network's weights in files.
@@ -64,10 +61,8 @@ class Features:
 def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor, quick: Tensor) -> Features:
     """What the network sees of the parents.
 
-    Args:
-        images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
-        count: (N, 1, H, W) samples.
-        enlargement, quick: (N,) as in Parents.
+    Images are traced, denoised, splat, albedo and normal, each (N, 3, H, W), both sides even; counts of
+    samples (N, 1, H, W); enlargement and quick (N,) as in Parents.
     """
     traced, denoised, splat, albedo, normal = images
     seen_denoised, seen_splat = perceived(denoised), perceived(splat)
@@ -133,8 +128,7 @@ def _evidence(traced: Tensor, splat: Tensor) -> dict[str, Tensor]:
     ratio = ((luminance(traced) + 0.05) / expected - 1).clamp(-8, 8)
     moments = halved(torch.cat([ratio, ratio**2], 1))  # (N, 2, H / 2, W / 2)
     small, large = box_mean(moments), enlarged(box_mean(halved(moments)), moments)
-    # Where no light has been found yet, a small window shows no variance; the neighbourhood and the whole
-    # image do.
+    # Where no light has been found yet, a small window shows no variance; its neighbourhood and the image do.
     everywhere = variance_of(moments) * halved(expected)
     everywhere = everywhere.mean((2, 3), keepdim=True) / expected.mean((2, 3), keepdim=True)
     floor = torch.maximum(variance_of(large), _SPREAD * everywhere)

@@ -50,11 +50,9 @@ _SIDES = 1, 4
 
 @dataclass(frozen=True)
 class FusionReference:
-    """Noisy radiance of a view from two independent halves of its samples.
+    """Noisy radiance of a view from two independent halves of its samples, (H, W, 3) and unbiased each.
 
-    Attributes:
-        denoised: (H, W, 3) the same samples, denoised; biased, but near the truth.
-        halves: two of (H, W, 3), unbiased.
+    `denoised` is the radiance of the same samples, denoised; biased, but near the truth.
     """
 
     denoised: Image
@@ -88,12 +86,9 @@ def _tamed(noise: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Example:
-    """A view whose radiance is known up to noise.
+    """A view whose radiance is known up to noise, by a reference that is independent of the parents' samples.
 
-    Attributes:
-        parents: as a fovea would have them.
-        reference: independent of the parents' samples.
-        view: number of the view, the same for close-ups of it.
+    Parents are as a fovea would have them. Close-ups have the number of their view.
     """
 
     parents: Parents
@@ -112,13 +107,9 @@ def fit(
 ) -> Fusion:
     """A network fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
 
-    Args:
-        examples: of several views, sample counts and enlargements.
-        seed: same seed, same network on the same machine.
-        progress: called with steps done and steps in all.
-
-    Raises:
-        ValueError: there are no examples, or they are smaller than a patch.
+    Examples are of several views, sample counts and enlargements. Same seed, same network on the same
+    machine. Progress is told the steps done and the steps in all. ValueError without examples of a patch's
+    size.
     """
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")

@@ -26,9 +26,8 @@ ENLARGEMENTS = (0.5, 1, 2, 4)
 MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
 _STEPS = 8
-# torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
-# a disc near the edge of a frame has another size at every gaze. torch reads these limits at the first
-# convolution.
+# torch keeps what it has compiled for images of each size, by default a thousand at 170 kB each, and a disc
+# near a frame's edge has another size at every gaze. It reads these limits at the first convolution.
 for _capacity in ("LRU_CACHE_CAPACITY", "ONEDNN_PRIMITIVE_CACHE_CAPACITY"):
     os.environ.setdefault(_capacity, "64")
 
@@ -44,8 +43,7 @@ OUTPUTS = Channels(
 _WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
 _MOST_COLOUR_GAIN = 0.5
 _MOST_GAIN = 2.0
-# Conditions under which shares are tried, as an index into a tensor of them: whether the quicker denoiser is
-# used, and indices of COUNTS and ENLARGEMENTS.
+# Conditions, as an index into shares: whether the denoiser is the quicker one; of COUNTS and ENLARGEMENTS.
 Cell = tuple[int, int, int]
 
 
@@ -60,10 +58,7 @@ def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
 def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) -> Tensor:
     """(N, len(MIXED), H, W) shares for each pixel's sample count, interpolated between cells.
 
-    Args:
-        shares: as in `Fusion`.
-        quick, enlargement: as in `Parents`.
-        count: (N, 1, H, W) samples.
+    Shares are as in `Fusion`, quick and enlargement as in `Parents`; counts are (N, 1, H, W).
     """
     by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
     table = _steps().to(shares.device) @ by_count
@@ -131,10 +126,8 @@ class Fusion(torch.nn.Module):
 def mixture(judged: Tensor, parents: Sequence[Tensor], texture: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     """Radiance (N, 3, H, W) and weights (N, 3, H, W) that the network's outputs stand for.
 
-    Args:
-        judged: (N, OUTPUTS.total, H, W) the network's outputs.
-        parents: traced, denoised, splat, each (N, 3, H, W).
-        texture: as in Features.
+    Outputs are (N, OUTPUTS.total, H, W); parents traced, denoised and splat, (N, 3, H, W) each; texture as in
+    Features.
     """
     traced, denoised, splat = parents
     outputs = OUTPUTS.parts(judged)
@@ -153,9 +146,8 @@ def estimated(
 ) -> tuple[Tensor, Tensor]:
     """Radiance (N, 3, H, W) by the network alone, and the weights (N, 3, H, W) of the parents in it.
 
-    Args:
-        images: parents, albedo, normal and count by name, (N, C, H, W) each, both sides even.
-        parents: N, for what is the same in all pixels, enlargement and denoiser.
+    Images are parents, albedo, normal and count by name, (N, C, H, W) each, both sides even; N parents say
+    what is the same in all pixels, enlargement and denoiser.
     """
     three = [images[name] for name in PARENTS]
     enlargement = three[0].new_tensor([float(one.enlargement) for one in parents])

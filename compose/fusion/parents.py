@@ -31,8 +31,7 @@ class Parents:
         enlargement: side of the pixels that the splats were trained on, in pixels of these images.
         quick: whether the quicker denoiser was used.
 
-    Raises:
-        ValueError: the shapes do not match.
+    ValueError if the shapes do not match.
     """
 
     traced: Image | Tensor
@@ -55,13 +54,10 @@ class Parents:
 
 @dataclass(frozen=True)
 class Fused:
-    """One estimate of radiance, of torch, on the parents' device.
+    """One estimate of radiance (H, W, 3), of torch on the parents' device, and their weights (H, W, 3).
 
-    Attributes:
-        radiance: (H, W, 3) linear.
-        weights: (H, W, 3) of the parents, in the order of PARENTS.
-        excluded: number of pixels in which a parent was left out because it was negative, not finite, or out
-            of proportion to its neighbours and to the other parents (compose.image.outliers).
+    In `excluded` pixels a parent was left out because it was negative, not finite, or out of proportion to
+    its neighbours and to the other parents (compose.image.outliers).
     """
 
     radiance: Tensor
@@ -78,11 +74,7 @@ class Channels(dict[str, int]):
         return sum(self.values())
 
     def stacked(self, images: Mapping[str, Tensor]) -> Tensor:
-        """(N, total, H, W) stack of named images, each (N, width, H, W).
-
-        Raises:
-            ValueError: an image is missing, superfluous, or of another width.
-        """
+        """(N, total, H, W) stack of named images (N, width, H, W); ValueError if names or widths differ."""
         found = {name: image.shape[-3] for name, image in images.items()}
         if found != self:
             raise ValueError(f"channels are {found}, must be {dict(self)}")

@@ -41,10 +41,9 @@ _Errors = NDArray[np.float64]
 class Proof(NamedTuple):
     """What is shown in each cell.
 
-    Attributes:
-        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) of network, denoised samples and splats.
-        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the mixture's squared error was below the
-            better parent's on unseen views; 0 where that parent alone is shown.
+    Shares (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) are those of network, denoised samples and splats;
+    gains are decibels by which the mixture's squared error was below the better parent's on unseen views, 0
+    where that parent alone is shown.
     """
 
     shares: NDArray[np.float32]
@@ -57,12 +56,9 @@ def trials(views: int) -> int:
 
 
 def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int], None]) -> Proof:
-    """Finds what to show in each cell.
+    """Finds what to show in each cell, by the examples to which the final network is fitted.
 
-    Args:
-        examples: those to which the final network is fitted.
-        seed: of the trial networks.
-        progress: called with steps done and steps in total.
+    The seed is that of the trial networks; progress is told the steps done and the steps in total.
     """
     views = sorted({example.view for example in examples})
     halves = set(views[::2]), set(views[1::2])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,10 @@ Image = NDArray[np.float32]
 
 # Luminance of linear red, green and blue (Rec. 709).
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
+# The sRGB curve (IEC 61966-2-1): straight up to these linear and sRGB values, with this slope ...
+SRGB_DARK, SRGB_DARK_VALUE, SRGB_SLOPE = 0.0031308, 0.04045, 12.92
+# ... and a power beyond them (`srgb_power`).
+SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 1.055, 0.055, 2.4
 
 
 def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -17,16 +23,32 @@ def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return image @ np.array(LUMINANCE_WEIGHTS, dtype=np.float32)
 
 
+def srgb_power(linear: Any) -> Any:
+    """The bent part of the sRGB curve, at numbers of any kind."""
+    return SRGB_SCALE * linear ** (1 / SRGB_GAMMA) - SRGB_OFFSET
+
+
+def linear_power(srgb: Any) -> Any:
+    """The inverse of `srgb_power`."""
+    return ((srgb + SRGB_OFFSET) / SRGB_SCALE) ** SRGB_GAMMA
+
+
 def srgb_from_radiance(radiance: Image) -> Image:
-    """Linear radiance clipped to 0..1, on the sRGB curve (IEC 61966-2-1)."""
+    """Linear radiance clipped to 0..1, on the sRGB curve."""
     clipped = np.clip(radiance, 0, 1)
-    curve = 1.055 * np.power(clipped, 1 / 2.4) - 0.055
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, curve).astype(np.float32)
+    return np.where(clipped <= SRGB_DARK, SRGB_SLOPE * clipped, srgb_power(clipped)).astype(np.float32)
 
 
-def radiance_from_srgb(srgb: Image) -> Image:
-    """The inverse of `srgb_from_radiance`, of values from 0 to 1."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4)).astype(np.float32)
+def srgb_slope(radiance: Image) -> Image:
+    """By how much sRGB values change with radiance; 0 where they are clipped at 1."""
+    curve = SRGB_SCALE / SRGB_GAMMA * np.power(np.maximum(radiance, SRGB_DARK), 1 / SRGB_GAMMA - 1)
+    slope = np.where(radiance <= SRGB_DARK, SRGB_SLOPE, curve)
+    return np.where(radiance < 1, slope, 0).astype(np.float32)
+
+
+def radiance_from_srgb(srgb: NDArray[Any]) -> NDArray[Any]:
+    """The inverse of `srgb_from_radiance`, of values from 0 to 1, in their precision."""
+    return np.where(srgb <= SRGB_DARK_VALUE, srgb / SRGB_SLOPE, linear_power(srgb))
 
 
 def bytes_from_radiance(radiance: Image) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
+from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
 
 # Rows and columns of a rectangle of an image.
 Box = tuple[slice, slice]
@@ -22,9 +23,9 @@ def shape_of(box: Box) -> tuple[int, int]:
 
 
 def srgb_curve(linear: Any) -> Any:
-    """Floats from 0 to 1 on the sRGB curve (IEC 61966-2-1), as in compose.image.colour; NaN stays."""
-    curve = dr.fma(1.055, dr.power(linear, 1 / 2.4), -0.055)
-    return dr.select(linear <= 0.0031308, 12.92 * linear, curve)
+    """Floats from 0 to 1 on the sRGB curve, as in compose.image.colour; NaN stays."""
+    curve = dr.fma(SRGB_SCALE, dr.power(linear, 1 / SRGB_GAMMA), -SRGB_OFFSET)
+    return dr.select(linear <= SRGB_DARK, SRGB_SLOPE * linear, curve)
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,10 @@ _CHECKSUM = "crc32"
 def write_channels(
     path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, str] | None = None
 ) -> None:
-    """Writes channels (H, W) of uint32, float16 or float32 with ZIP compression, atomically.
+    """Writes channels (H, W) of uint32, float16 or float32 with ZIP compression; UserError on failure.
 
-    The header gets a checksum of the values, by which a reader notices damage, and further attributes.
-
-    Raises:
-        UserError: the file cannot be written.
+    The file appears whole or not at all. Its header gets a checksum of the values, by which a reader notices
+    damage, and further attributes.
     """
     content = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     header = {

@@ -20,8 +20,7 @@ from scipy.ndimage import maximum_filter
 
 from compose.image.colour import Image
 
-# Radiance relative to that of its surroundings, or to 1 if these are darker, beyond which a pixel is out of
-# proportion: the precision of float32.
+# Radiance over that of its surroundings, or 1, from which a pixel is out of proportion: float32's precision.
 MOST = 2.0**24
 # All of the eight neighbours, and the pixel itself as well.
 _BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
@@ -29,11 +28,7 @@ _AROUND = np.ones((3, 3), dtype=bool)
 
 
 def all_plain(channels: Sequence[Any]) -> bool:
-    """Whether all numbers are finite, not negative and at most MOST, as they nearly always are.
-
-    Args:
-        channels: Dr.Jit floats, which this waits for.
-    """
+    """Whether Dr.Jit floats, which this waits for, are finite, not negative and at most MOST, as usual."""
     wrong = [~((values >= 0) & (values <= MOST)) for values in channels]
     return not bool(dr.any(reduce(or_, wrong)))
 
@@ -41,10 +36,8 @@ def all_plain(channels: Sequence[Any]) -> bool:
 def outliers(image: Image, *others: Image, beside: bool = True) -> NDArray[np.bool_]:
     """(H, W, 1) pixels that are negative, not finite, or out of proportion to all that vouches for them.
 
-    Args:
-        image: (H, W, 3) linear radiance.
-        others: images of the same view (H, W, 3), which vouch for pixels and for those beside them.
-        beside: whether its eight neighbours vouch for a pixel as well.
+    Other images of the same view (H, W, 3), in linear radiance, vouch for pixels and for those beside them;
+    so do a pixel's eight neighbours if `beside`.
     """
     bright = _brightness(image)
     expected = np.zeros_like(bright)

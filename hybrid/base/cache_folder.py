@@ -28,11 +28,7 @@ def home() -> Path:
 
 
 def scene_folder(name: str, digest: str) -> Path:
-    """Folder of everything made for one version of a scene, which has that name and hash.
-
-    Raises:
-        UserError: name or hash cannot be those of a scene: they become the name of a folder.
-    """
+    """Folder of one version of a scene; UserError if name or hash cannot be those of a scene."""
     try:
         name, digest = claimed_scene(name, digest)
     except ValueError as error:
@@ -41,11 +37,7 @@ def scene_folder(name: str, digest: str) -> Path:
 
 
 def store_forest(forest: Forest, name: str) -> None:
-    """Stores a copy of a forest in the cache, as NAME.safetensors, the newest one of its scene.
-
-    Raises:
-        UserError: the cache folder cannot be written, or the forest names no scene.
-    """
+    """Stores a forest as NAME.safetensors, the newest one of its scene; UserError if it cannot be."""
     # The digits of a complete SHA-256.
     if len(forest.scene_hash) != 64:
         raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")
@@ -59,7 +51,7 @@ def newest_forest(scene: Scene) -> Path | None:
 
 
 def newest_forest_of(name: str, digest: str) -> Path | None:
-    """File of the forest that was stored last for a scene with that name and hash; None if none was stored.
+    """File of the forest that was stored last for a scene with that name and hash; None if there is none.
 
     Files whose header is damaged or names another scene are skipped: the folder's name has only the first
     digits of the hash.
@@ -81,11 +73,7 @@ def _is_of(path: Path, name: str, digest: str) -> bool:
 
 
 def keep_receipt(frames: FrameSet) -> None:
-    """Notes that a frame set was captured here, as its files are now.
-
-    Raises:
-        UserError: the cache folder cannot be written.
-    """
+    """Notes that a frame set was captured here, as its files are now; UserError if it cannot be noted."""
     text = f"{frames.folder.resolve()}\n"
     write_whole(_receipt(frames), lambda part: part.write_text(text))
 

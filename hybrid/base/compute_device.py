@@ -19,11 +19,6 @@ def device_arrays() -> Arrays:
     return Arrays("cuda" if str(mi.variant()).startswith("cuda") else "llvm")
 
 
-def torch_device() -> torch.device:
-    """Where torch computes on what is on the device: there, if this torch can."""
-    return device_arrays().device
-
-
 class PassClock:
     """Measures consecutive passes.
 
@@ -67,7 +62,7 @@ def torch_working_on(pixels: int) -> Iterator[None]:
     For large images, Dr.Jit's worker threads are stopped meanwhile: they spin while they wait and take cores
     from torch. Stopping and restarting them takes 0.1 ms. Where torch works on a card, nothing changes.
     """
-    if torch_device().type == "cuda":
+    if device_arrays().device.type == "cuda":
         yield
         return
     torch_threads, drjit_threads = torch.get_num_threads(), dr.thread_count()
@@ -83,10 +78,7 @@ def torch_working_on(pixels: int) -> Iterator[None]:
 
 
 def release_memory() -> None:
-    """Releases the memory that Dr.Jit and the C library keep for reuse.
-
-    This takes a few milliseconds, and about as many again when the memory is next needed.
-    """
+    """Releases, in a few milliseconds, the memory that Dr.Jit and the C library keep for reuse."""
     dr.flush_malloc_cache()
     # Specific to glibc; other C libraries release memory by themselves.
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)

@@ -29,9 +29,8 @@ _PACKAGES, _DENOISER = ("compose", "pathtrace", "splat", "hybrid"), "mitsuba-oid
 def machine() -> dict[str, Any]:
     """Everything that measured times depend on: hardware, backend and software versions.
 
-    Returns:
-        cpu, cores, gpu (None on the CPU backend, or if the driver does not report it), backend (Mitsuba's
-        variant), python, version (of this project), packages (name to version).
+    The gpu is None on the CPU backend, or if the driver does not report it; the backend is Mitsuba's variant,
+    and the version that of this project.
     """
     backend = mi.variant()
     cards = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
@@ -71,10 +70,7 @@ def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str
 
 @cache
 def code() -> dict[str, str | None]:
-    """What measures: a digest of this project's source files, and the denoiser's version.
-
-    The version of the project and of the other packages are part of `machine`.
-    """
+    """Digest of this project's source, and the denoiser's version; `machine` has those of other packages."""
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     for file in sorted(file for package in _PACKAGES for file in (root / package).rglob("*.py")):
         digest.update(f"{file.relative_to(root).as_posix()}\0".encode() + file.read_bytes() + b"\0")
@@ -95,16 +91,9 @@ def short_hash(identity: dict[str, Any]) -> str:
 
 
 def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, advice: str) -> None:
-    """Checks that cached results belong to the work that would use them.
+    """Checks that cached results, as read from JSON, belong to the work that would use them.
 
-    Args:
-        found: identity of the cached results, as read from JSON.
-        expected: identity of the work.
-        what: the cached results and where they are, for the message.
-        advice: what the user can do, for the message.
-
-    Raises:
-        UserError: the identities differ; the message names the differing entries.
+    UserError says what they are and where, which entries differ, and what the user can do.
     """
     # JSON turns tuples into lists.
     expected = json.loads(json.dumps(expected))
@@ -116,10 +105,7 @@ def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, adv
 def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:
     """Checks that a forest or frame set belongs to a scene; an imported forest fits any scene.
 
-    The message names the source, that is where the item comes from.
-
-    Raises:
-        UserError: the item belongs to another scene, or to the same scene at another path depth.
+    UserError, which names the source, if it belongs to another scene, or to the same at another path depth.
     """
     if item.scene_hash in ("", scene_hash):
         return

@@ -18,14 +18,10 @@ _MOST_BYTES = 1 << 30
 
 
 class Journal:
-    """Named results in one JSON file.
+    """Named results in one JSON file, which is created when the first one is saved.
 
-    Args:
-        path: the file; created when the first result is saved.
-        identity: everything that the results depend on, in types that JSON has.
-
-    Raises:
-        UserError: the file is damaged, or belongs to another identity.
+    The identity is everything that the results depend on, in types that JSON has. UserError if the file is
+    damaged, or belongs to another identity.
     """
 
     def __init__(self, path: Path, identity: dict[str, Any]):
@@ -57,10 +53,8 @@ class Journal:
     def write(self) -> None:
         """Saves all results, beside those that another process saved meanwhile.
 
-        Needed only after a result was changed in place.
-
-        Raises:
-            UserError: the file cannot be written, is damaged, or belongs to another identity by now.
+        Needed only after a result was changed in place. UserError if the file cannot be written, is damaged,
+        or belongs to another identity by now.
         """
         content = {"identity": self._identity, "results": self._results}
         # What JSON cannot hold is noticed before anything is touched.

@@ -8,8 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, TypeAlias
 
-# Called with steps done, steps in total, and what is being done, such as "stage 1: frames (samples)". Each
-# part of a job counts its own steps, unless it is said that the job counts as a whole.
+# Called with steps done and steps in total.
+Steps: TypeAlias = Callable[[int, int], None]
+# The same with what is being done, such as "stage 1: frames (samples)". Each part of a job counts its own
+# steps, unless it is said that the job counts as a whole.
 Progress: TypeAlias = Callable[[int, int, str], None]
 
 
@@ -45,8 +47,7 @@ no_bars = bars_of(no_progress)
 def interrupts_between_steps() -> Iterator[Callable[[], None]]:
     """Delays Ctrl-C until a step is complete, because no work can resume from the middle of a step.
 
-    Yields:
-        A function to call between steps; it raises KeyboardInterrupt if Ctrl-C was pressed.
+    Yields a function to call between steps; it raises KeyboardInterrupt if Ctrl-C was pressed.
     """
     pressed = False
 

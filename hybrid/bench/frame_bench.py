@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -18,6 +19,7 @@ from compose.base.errors import MOST_SEED
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import gaze_path, percentiles
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -35,7 +37,7 @@ _TO_HOST = ("numpy", "to_numpy", "__array__")
 
 
 class HostBytes:
-    """Counts the bytes that pass through the host while the context is open.
+    """Counts the bytes that pass through the host while the context is open, and those of the largest array.
 
     Counted are, whoever causes them:
 
@@ -47,14 +49,7 @@ class HostBytes:
 
     Not counted are views, such as the NumPy arrays of Dr.Jit's on the CPU; single numbers (`array[0]`);
     uploads of memory that was allocated before, or by torch; and memory of torch, Dr.Jit, Mitsuba and OIDN on
-    the CPU.
-
-    Args:
-        remote: the backend whose arrays lie out of the host's reach.
-
-    Attributes:
-        count: bytes so far.
-        largest: bytes of the largest array so far.
+    the CPU. Arrays of the remote backend lie out of the host's reach.
     """
 
     def __init__(self, remote: Any = dr.JitBackend.CUDA):
@@ -121,8 +116,7 @@ class _Allocator:
     Attributes:
         allocated: bytes since the process began, while it was in use.
         largest: bytes of the largest piece of memory since this was last set to 0.
-        handler: this allocator, for `use`.
-        use: makes NumPy allocate through a handler on this thread; returns the one before.
+        use: makes NumPy allocate through a handler, such as its own, on this thread; returns the one before.
     """
 
     _NAME = b"mem_handler"
@@ -137,34 +131,24 @@ class _Allocator:
         table = ctypes.cast(pointer(api, None), ctypes.POINTER(ctypes.c_void_p))
         self.use = _SetHandler(table[_SET_HANDLER] or 0)
         own = _GetHandler(table[_GET_HANDLER] or 0)()
-        counting = self._counting(_Handler.from_address(pointer(own, self._NAME)))
+        found = _Handler.from_address(pointer(own, self._NAME))
+        counting = _Handler.from_buffer_copy(found)
+        # Freeing stays as it is. The sizes are the last arguments.
+        for name, kind, sizes in (
+            ("malloc", _Allocate, 1),
+            ("calloc", _AllocateZeros, 2),
+            ("realloc", _Reallocate, 1),
+        ):
+            setattr(counting, name, kind(partial(self._counted, getattr(found, name), sizes)))
         # Arrays are freed through it until the very end of the process.
         python.Py_IncRef(ctypes.py_object(counting))
         self.handler = capsule(ctypes.addressof(counting), self._NAME, None)
 
-    def _counting(self, own: _Handler) -> _Handler:
-        """NumPy's handler with functions that count; freeing stays as it is."""
-
-        def count(size: int) -> None:
-            self.allocated += size
-            self.largest = max(self.largest, size)
-
-        def malloc(context: int, size: int) -> Any:
-            count(size)
-            return own.malloc(context, size)
-
-        def calloc(context: int, number: int, size: int) -> Any:
-            count(number * size)
-            return own.calloc(context, number, size)
-
-        def realloc(context: int, memory: int, size: int) -> Any:
-            count(size)
-            return own.realloc(context, memory, size)
-
-        counting = _Handler.from_buffer_copy(own)
-        counting.malloc, counting.calloc = _Allocate(malloc), _AllocateZeros(calloc)
-        counting.realloc = _Reallocate(realloc)
-        return counting
+    def _counted(self, allocate: Callable[..., Any], sizes: int, *args: int) -> Any:
+        size = math.prod(args[-sizes:])
+        self.allocated += size
+        self.largest = max(self.largest, size)
+        return allocate(*args)
 
 
 @cache
@@ -194,24 +178,19 @@ def bench_frame(
     repeats: int,
     warm_up: int,
     seed: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, Any]]:
     """One row per size, fovea mode and renderer; all take turns, the gaze moving and the camera still.
 
-    Args:
-        settings: of the frames, apart from gaze, mode and size.
-        sizes: width and height of the frames, in pixels.
-        repeats: timed frames per row; a few more are profiled afterwards.
-        warm_up: frames before these, not measured.
-        seed: of the first frame; each frame has the next one.
-        progress: called with rounds done and rounds in total.
+    The settings are those of the frames, apart from gaze, mode and size. Warm-up frames come before the
+    `repeats` timed ones, of which each row has a few more afterwards that are profiled. Each frame has the
+    next seed.
 
-    Returns:
-        Rows with mode; live, whether by the renderer of the window or that of single frames; width, height;
-        wall_ms, percentiles of the milliseconds until a frame is complete; launches, median number of
-        operations in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit);
-        kernels_ms, median of the sum of their times; host_bytes, median, as `HostBytes` counts; passes,
-        percentiles of each pass in milliseconds; and backend, llvm or cuda.
+    Rows have mode; live, whether by the renderer of the window or that of single frames; width, height;
+    wall_ms, percentiles of the milliseconds until a frame is complete; launches, median number of operations
+    in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit); kernels_ms, median
+    of the sum of their times; host_bytes, median, as `HostBytes` counts; passes, percentiles of each pass in
+    milliseconds; and backend, llvm or cuda.
     """
     cases = [
         _Case(kind(scene, forest), replace(settings, fovea=mode, camera=scene.camera.resized(*size)))

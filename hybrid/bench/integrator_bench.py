@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image
+from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import percentiles
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.render.irradiance import filled_cache
@@ -42,14 +43,12 @@ _SEGMENTS = 99
 
 
 def bench_integrator(
-    scene: Scene, camera: Camera, reference_spp: int, repeats: int, progress: Callable[[int, int], None]
+    scene: Scene, camera: Camera, reference_spp: int, repeats: int, progress: Steps
 ) -> dict[str, Any]:
     """Raw frames of both integrators, interleaved, against an unbiased reference.
 
-    Args:
-        reference_spp: samples per pixel of the reference, and of the image that bias is measured in.
-        repeats: measured frames per integrator and sample count.
-        progress: called with samples per pixel done and in total.
+    The reference, and the image that bias is measured in, have `reference_spp` samples per pixel; `repeats`
+    are measured frames per integrator and sample count. Progress counts samples per pixel.
 
     Returns:
         `cache` (seconds, cells, bytes, transfer_bytes, look_up_ns); `rows`, one per integrator and sample
@@ -114,10 +113,7 @@ def _rows(
 
 
 def block_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Relative errors of the blocks of an (H, W, 3) image that are not black; a single 0 if all are.
-
-    Blocks that are cut by the frame's border count as well.
-    """
+    """Relative errors of the blocks of an (H, W, 3) image that are not black; a single 0 if all are."""
     found, expected = _block_sums(image), _block_sums(truth)
     lit = expected > 0
     return found[lit] / expected[lit] - 1 if lit.any() else np.zeros(1)

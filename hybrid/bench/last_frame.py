@@ -32,10 +32,7 @@ _HIDDEN = -20.0
 
 
 class LastFrameRenderer:
-    """Renders frames one after the other, each with the nodes that the frame before has selected.
-
-    The forest has layers, some of whose nodes move.
-    """
+    """Renders frames of a forest with layers, each with the nodes that the frame before has selected."""
 
     def __init__(self, forest: Forest):
         self._forest, self._periphery = forest, Periphery(device_arrays(), forest)

@@ -19,6 +19,7 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
+from hybrid.base.progress import Steps
 from hybrid.bench.last_frame import LastFrameRenderer
 from hybrid.evaluation.baselines import enlarged
 from hybrid.evaluation.equal_cost import at_equal_time
@@ -69,29 +70,22 @@ def bench_moving(
     forest: Forest,
     settings: FrameSettings,
     reference_spp: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
     against: Mapping[str, Forest] | None = None,
 ) -> list[dict[str, Any]]:
     """One row per method and region of a scene that plays, with the gaze on what moves most visibly.
 
-    Args:
-        settings: of the frames, apart from gaze and time; with its camera.
-        reference_spp: samples per pixel of the references.
-        progress: called with clips done and clips in total.
-        against: further forests of the scene by their names, drawn as splats alone.
+    The settings are those of the frames, with their camera, apart from gaze and time. References have
+    `reference_spp` samples per pixel. The forests in `against`, by their names, are drawn as splats alone.
+    UserError if nothing moves in the scene, or if a forest belongs to another one.
 
-    Returns:
-        Rows of `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame
-        (`p50`, `p95`) and `ratio`, the hybrid's median over the method's. Those of the whole frame and the
-        fovea have `jod`, the mean of the clips as videos, None if FovVideoVDP is not installed; those of what
-        moves have `registration_px`, the median shift of textured windows at least a quarter of which moves,
-        None if there are none. The times of hybrid and path-traced frames include the scene's step of time,
-        those of splats the forest's; with two eyes, both have their image. Path-traced frames are denoised,
-        and of so many pixels that they take as long as the hybrid's; they are left out if the smallest takes
-        longer.
-
-    Raises:
-        UserError: nothing moves in the scene, or a forest belongs to another one.
+    Rows have `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame (`p50`,
+    `p95`) and `ratio`, the hybrid's median over the method's. Those of the whole frame and the fovea have
+    `jod`, the mean of the clips as videos, None if FovVideoVDP is not installed; those of what moves have
+    `registration_px`, the median shift of textured windows at least a quarter of which moves, None if there
+    are none. The times of hybrid and path-traced frames include the scene's step of time, those of splats the
+    forest's; with two eyes, both have their image. Path-traced frames are denoised, and of so many pixels
+    that they take as long as the hybrid's; they are left out if the smallest takes longer.
     """
     moving = require_moving(scene)
     camera, _ = settings.resolved(scene.camera)
@@ -189,11 +183,7 @@ class _Found:
 
 
 class _Methods:
-    """Methods that show a clip.
-
-    Args:
-        forests: of the renderer's scene, drawn as splats alone, by their names; its own one as SPLATS.
-    """
+    """Methods that show a clip; the forests are drawn as splats alone, the scene's own one as SPLATS."""
 
     def __init__(self, renderer: LiveRenderer, forests: Mapping[str, Forest], settings: FrameSettings):
         self._renderer, self._settings = renderer, settings

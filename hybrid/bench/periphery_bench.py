@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import percentiles
 from hybrid.measure.image_metrics import ssim
 from hybrid.measure.perceptual_metrics import jod
@@ -39,29 +40,16 @@ def display_camera(scene_camera: Camera, display: Display) -> Camera:
 
 
 def bench_periphery(
-    forest: Forest,
-    camera: Camera,
-    settings: FrameSettings,
-    repeats: int,
-    warm_up: int,
-    progress: Callable[[int, int], None],
+    forest: Forest, camera: Camera, settings: FrameSettings, repeats: int, warm_up: int, progress: Steps
 ) -> list[dict[str, Any]]:
     """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 
     A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints depend
     on the camera alone and are kept while it stands still; saliency is kept as in the window, where a moving
-    camera has that of an earlier view which showed nearly the same.
-
-    Args:
-        settings: fov_b and display.
-        repeats: measured passes per acuity model and gaze.
-        warm_up: passes before that, which are not measured.
-        progress: called with rounds done and rounds in total.
-
-    Returns:
-        Rows with percentiles of periphery_ms and full_ms, with a still camera, and of moving_ms and
-        moving_full_ms, with another camera in each pass; their ratios (full over periphery); and jod and ssim
-        against a frame that differs only in having a full periphery.
+    camera has that of an earlier view which showed nearly the same. Rows have percentiles of periphery_ms and
+    full_ms, with a still camera, and of moving_ms and moving_full_ms, with another camera in each pass; their
+    ratios (full over periphery); and jod and ssim against a frame that differs only in having a full
+    periphery.
     """
     models = [replace(settings, acuity_model=name) for name in ACUITY_MODELS]
     # One per model, so that none reuses what another one has kept.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -11,6 +10,7 @@ import numpy as np
 
 from compose.base.arrays import Arrays
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import percentiles
 from splat.raster.binning import Candidates
 from splat.raster.blocks import CHANNELS
@@ -20,19 +20,12 @@ from splat.raster.tiles import TileGrid
 
 
 def bench_raster(
-    gaussians: int,
-    size: tuple[int, int],
-    seed: int,
-    repeats: int,
-    warm_up: int,
-    progress: Callable[[int, int], None],
+    gaussians: int, size: tuple[int, int], seed: int, repeats: int, warm_up: int, progress: Steps
 ) -> dict[str, Any]:
     """Times of binning and blending (forward) and of the gradient (backward), with all data on the device.
 
-    The same seed gives the same splats; `progress` is called with rounds done and rounds in total.
-
-    Returns:
-        The arguments, percentiles forward_ms and backward_ms, and pairs of splats and tiles.
+    The same seed gives the same splats. Returns the arguments, percentiles forward_ms and backward_ms, and
+    pairs of splats and tiles.
     """
     arrays, (width, height), rng = device_arrays(), size, np.random.default_rng(seed)
     splats = random_splats(arrays, gaussians, width, height, rng)

@@ -176,11 +176,7 @@ def frame(
 def on_llvm(arguments: list[str]) -> list[dict[str, Any]]:
     """Rows of the same command on LLVM, in a process of its own: a process has one backend.
 
-    Args:
-        arguments: of this command. What is given twice counts as given last.
-
-    Raises:
-        UserError: the process failed.
+    What is given twice in the arguments counts as given last. UserError if the process failed.
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rows.json"

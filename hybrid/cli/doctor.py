@@ -26,11 +26,7 @@ def doctor(backend: o.Backend = "auto", json_file: o.Json = None) -> None:
 def examine(choice: str) -> tuple[dict[str, Any], str | None]:
     """Lists the versions of the installed packages, selects the backend and runs a kernel on it.
 
-    Args:
-        choice: "auto", "cuda" or "llvm".
-
-    Returns:
-        Versions, backend and hardware by name; and what is wrong and how to fix it, None if everything works.
+    Versions, backend and hardware by name; and what is wrong and how to fix it, None if everything works.
     """
     facts: dict[str, Any] = {}
     for package in _PACKAGES:

@@ -170,9 +170,7 @@ def user_errors() -> Iterator[None]:
 def option_names(*settings: str, **options: str) -> Iterator[None]:
     """Names options in place of settings in front of the colon of a UserError.
 
-    Args:
-        settings: those whose options have the same name.
-        options: names of other options, by setting.
+    Options have the names of their settings, or those that are given by setting.
     """
     try:
         yield

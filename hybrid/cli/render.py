@@ -313,7 +313,6 @@ def _render_frames(
 def _render_video(
     output: Path, scene: Scene, forest: Forest, settings: FrameSettings, trace: GazeTrace, fps: int, seed: int
 ) -> dict[str, Any]:
-    """Renders and writes a video; returns what was measured."""
     from hybrid.base.identity import measured_identity
     from hybrid.render.frame_renderer import Renderer
     from hybrid.render.video import render_video
@@ -330,7 +329,6 @@ def _render_video(
 
 
 def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
-    """What is rendered, and how."""
     camera, settings = settings.resolved(scene.camera)
     return {
         "scene": scene.name,

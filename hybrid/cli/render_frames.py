@@ -41,15 +41,8 @@ def write_frames(
 ) -> dict[str, Any]:
     """Renders and writes a frame, and a picture of its levels if `detail` names a file; or one per eye.
 
-    Args:
-        output, detail: the files.
-        camera: the view, or what lies between the eyes.
-        distance: between the eyes, in the camera's units; None for a single frame.
-        frame_of: renders the frame of a camera.
-        facts_of: what was measured of a frame that is written.
-
-    Returns:
-        What was measured; of two eyes, by "left" and "right".
+    The camera is the view or, if there is a distance in its units, lies between the eyes. Returns what
+    `facts_of` says of the frame; of two eyes, by "left" and "right".
     """
     from compose.camera.camera import EYES, eyes
     from hybrid.render.false_colours import detail_picture
@@ -72,13 +65,7 @@ def write_frames(
 
 
 def refuse_tracing(context: typer.Context, folder: Path, is_path: bool) -> None:
-    """Refuses options that say how a scene is path-traced: frames have none.
-
-    Args:
-        context: of the command.
-        folder: of the frames.
-        is_path: whether a video shows all of them, each at its own time.
-    """
+    """Refuses options of path tracing; for a video along all views, those of a single view as well."""
     if is_path and any(o.given(context, name) for name in ("view", "camera", "time")):
         raise UserError(f"--view, --camera, --time: a video of {folder} shows all its views at their times")
     for name in _OF_SCENES:

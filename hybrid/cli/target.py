@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 class TradeTarget:
     """The milliseconds that a frame may take and the JOD that it must reach; None for any.
 
-    Attributes:
-        command: measures the settings to choose from.
+    The command measures the settings to choose from.
     """
 
     milliseconds: float | None
@@ -40,17 +39,13 @@ class TradeTarget:
             raise self._not_measured()
 
     def applied(self, scene: Scene, forest: Forest, settings: FrameSettings) -> FrameSettings:
-        """The settings that meet the target, or the given ones if there is none.
-
-        Raises:
-            UserError: nothing was measured, or nothing measured meets the target.
-        """
+        """The settings that meet the target, the given ones without one; UserError if none meets it."""
         if not self.is_set:
             return settings
         from hybrid.evaluation.measured_settings import MeasuredStore, chosen
 
         camera, _ = settings.resolved(scene.camera)
-        found = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings).load()
+        found = MeasuredStore("trade", scene, forest, (camera.width, camera.height), settings).load()
         if found is None:
             raise self._not_measured()
         choice, metric = chosen(*found, self.milliseconds, self.jod), found[0].upper()

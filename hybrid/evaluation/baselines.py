@@ -46,24 +46,20 @@ def traced_image(
 ) -> Image:
     """(N / columns, columns, 3) radiance at N positions on the camera's film, given row by row.
 
-    Args:
-        spp: samples per position, at least 1; if fractional, the mean over all positions.
-        seed: same seed, same image on the same machine.
-        denoised: whether to denoise with OIDN, guided by albedo and normal.
-        clock: records the passes trace and denoise.
+    There are `spp` samples per position, at least 1; if fractional, the mean over all positions. If denoised,
+    OIDN is guided by albedo and normal. The clock records the passes trace and denoise.
     """
     clock = clock or PassClock()
     counts = fractional_counts(spp, positions.count, seed)
-    if not denoised:
-        radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
-        clock.lap("trace")
-        return radiance
-    if isinstance(counts, int):
+    if denoised and isinstance(counts, int):
         traced = trace_image(tracer, camera, positions, columns, counts, seed)
     else:
         radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
-        spp_of_auxiliary = auxiliary_spp(math.ceil(spp))
-        auxiliary = auxiliary_images(tracer, camera, positions, columns, spp_of_auxiliary, seed)
+        if not denoised:
+            clock.lap("trace")
+            return radiance
+        auxiliary_count = auxiliary_spp(math.ceil(spp))
+        auxiliary = auxiliary_images(tracer, camera, positions, columns, auxiliary_count, seed)
         traced = TracedImage(radiance, *auxiliary)
     clock.lap("trace")
     image = traced.denoised()
@@ -73,15 +69,10 @@ def traced_image(
 
 @dataclass(frozen=True)
 class Axis:
-    """The mapping along one axis.
+    """The mapping along one axis, from `size` pixels of the frame to `buffer` pixels of the buffer.
 
-    Attributes:
-        gaze: position in 0..1.
-        f: above 0; the smaller, the more of the buffer goes to the surroundings of the gaze.
-        size, buffer: pixels of the frame and of the buffer.
-
-    Raises:
-        ValueError: the gaze lies outside the frame, f is not positive, or a side has no pixel.
+    The gaze is a position in 0..1. The smaller f, above 0, the more of the buffer goes to the surroundings of
+    the gaze. ValueError if anything is out of range.
     """
 
     gaze: float
@@ -119,21 +110,14 @@ class Warp:
 
     @staticmethod
     def of(gaze: Gaze, width: int, height: int, f: float, sigma: float) -> Warp:
-        """The mapping of a frame of that size in pixels into a buffer with sides smaller by sigma.
-
-        Raises:
-            ValueError: the gaze lies outside the frame, or f or sigma is not positive.
-        """
+        """The mapping into a buffer with sides smaller by sigma; ValueError if anything is out of range."""
         if not (np.isfinite(sigma) and sigma > 0):
             raise ValueError(f"sigma {sigma} must be positive")
         sides = ((gaze.x, width), (gaze.y, height))
         return Warp(*(Axis(at, f, size, max(1, round(size / sigma))) for at, size in sides))
 
     def boxes(self) -> tuple[Array, Array, Array, Array]:
-        """Left edges, top edges, widths and heights, (N,) each, of what buffer pixels cover of the frame.
-
-        They are in frame pixels, row by row.
-        """
+        """(N,) each: left, top, width and height of what buffer pixels cover, in frame pixels."""
         edges = [axis.frame_of(np.arange(axis.buffer + 1.0)) for axis in (self.across, self.down)]
         left, top = np.meshgrid(edges[0][:-1], edges[1][:-1])
         width, height = np.meshgrid(np.diff(edges[0]), np.diff(edges[1]))
@@ -175,12 +159,7 @@ class _PathTraced:
 
 @dataclass(frozen=True)
 class FullTrace(_PathTraced):
-    """Traces all pixels with the same sample count.
-
-    Attributes:
-        spp: samples per pixel, at least 1; if fractional, the mean over all pixels.
-        denoised: whether to denoise the image.
-    """
+    """Traces all pixels with the same sample count, at least 1; if fractional, the mean over all pixels."""
 
     spp: float
     denoised: bool
@@ -201,12 +180,9 @@ class FullTrace(_PathTraced):
 
 @dataclass(frozen=True)
 class Enlarged(_PathTraced):
-    """Traces the whole frame with fewer, larger pixels and enlarges it bicubically.
+    """Traces the whole frame with fewer, larger pixels and enlarges it bicubically, denoised before that.
 
-    Attributes:
-        share: number of traced pixels over the frame's.
-        spp: samples per traced pixel.
-        denoised: whether to denoise the image before enlarging it.
+    The share is the number of traced pixels over the frame's; spp are samples per traced pixel.
     """
 
     share: float
@@ -247,10 +223,8 @@ class Enlarged(_PathTraced):
 class Rmfr(_PathTraced):
     """RMFR: traces a smaller buffer, densest at the gaze, and maps it back to the frame.
 
-    Attributes:
-        f, sigma: parameters of the mapping.
-        spp: samples per pixel of the buffer, at least 1; if fractional, the mean.
-        denoised: whether to denoise the buffer.
+    There are spp samples per pixel of the buffer, at least 1; if fractional, the mean. The buffer is what is
+    denoised.
     """
 
     f: float
@@ -280,11 +254,7 @@ class Rmfr(_PathTraced):
 
 @dataclass(frozen=True)
 class WarpTuning:
-    """Settings of RMFR that remain free at a given number of rays: its `f` and whether it is denoised.
-
-    Attributes:
-        spp: least samples per pixel of the buffer.
-    """
+    """Settings of RMFR that remain free at a given number of rays, with at least `spp` per buffer pixel."""
 
     f: float
     spp: int
@@ -295,9 +265,8 @@ class WarpTuning:
 class Tuning:
     """Settings of the baselines that remain free at a given number of rays.
 
-    Attributes:
-        frame, fovea: the best ones of RMFR for the whole frame and for the fovea.
-        enlarged_spp: least samples per pixel of the denoised enlarged frame.
+    The best ones of RMFR for the whole frame and for the fovea, and the least samples per pixel of the
+    denoised enlarged frame.
     """
 
     frame: WarpTuning

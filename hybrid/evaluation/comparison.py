@@ -11,6 +11,7 @@ import numpy as np
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode, Foveation
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import FullTrace
 from hybrid.measure.frame_times import (
     REACH,
@@ -34,10 +35,7 @@ def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
     Along an axis on which the disc, of a radius in percent of the height, fits into the frame, the gaze moves
     until the disc touches the edge. Along an axis on which it does not fit, moving loses more on one side
     than it gains on the other; there the gaze moves so little that less than half a percent of the covered
-    pixels is lost.
-
-    Returns:
-        Fractions of the frame's width and height, for `gaze_path`.
+    pixels is lost. The result is for `gaze_path`, in fractions of the frame's width and height.
     """
     pixels = radius / 100 * camera.height
     across, down = (
@@ -60,7 +58,7 @@ def compare(
     settings: FrameSettings,
     repeats: int,
     warm_up: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> dict[str, Any]:
     """One row: times of the hybrid frame, of the full path-traced frame, and of the disc alone.
 

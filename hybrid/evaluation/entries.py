@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from hybrid.base.journal import Journal
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import Tuning, families
 from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
@@ -60,11 +61,7 @@ _ENOUGH_FOR = {50: 1, 95: 20, 99: 100}
 
 @dataclass(frozen=True)
 class Entry:
-    """A method at one budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
-
-    Attributes:
-        briefly: whether a few frames are enough to time it.
-    """
+    """A method at one budget: EQUAL_RAYS, EQUAL_TIME or FIXED; `briefly` if few frames suffice to time it."""
 
     name: str
     budget: str
@@ -87,11 +84,11 @@ def hybrid_entries(renderer: Renderer, settings: EvaluationSettings) -> list[Ent
     def hybrid(mode: FoveaMode, spp: int) -> HybridMethod:
         return HybridMethod(renderer, replace(settings.frame, fovea=mode, spp=spp))
 
-    entries = [Entry(f"hybrid, {mode.value}", FIXED, hybrid(mode, settings.frame.spp)) for mode in FoveaMode]
-    for spp in OTHER_SPP:
-        if spp != settings.frame.spp:
-            entries.append(Entry(f"{OURS}, {spp} spp", FIXED, hybrid(FoveaMode.FUSED, spp), briefly=True))
-    return entries
+    other = [spp for spp in OTHER_SPP if spp != settings.frame.spp]
+    return [
+        *(Entry(f"hybrid, {mode.value}", FIXED, hybrid(mode, settings.frame.spp)) for mode in FoveaMode),
+        *(Entry(f"{OURS}, {spp} spp", FIXED, hybrid(FoveaMode.FUSED, spp), briefly=True) for spp in other),
+    ]
 
 
 def splat_entries(splats: SplatsAlone, flat: SplatsAlone | None) -> list[Entry]:
@@ -107,13 +104,13 @@ def baseline_entries(
     views: Sequence[View],
     gaze: Gaze,
     costs: Journal,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[Entry]:
     """Path-traced baselines with the rays of our entry in the first view, and with its time.
 
     A baseline that takes more rays even at its cheapest is included as FIXED, with more than ours. One whose
     settings meet both budgets is included twice. `costs` stores the rays of equal time, so that later
-    evaluations compare the same frames; `progress` is called with baselines done and in total.
+    evaluations compare the same frames.
     """
     rays = ours.method.rays(views[0].camera, gaze)
     known = families(tracer, tuning)
@@ -131,12 +128,7 @@ def baseline_entries(
 
 @dataclass(frozen=True)
 class EvaluatedView:
-    """One of the evaluated views, numbered from 0. An entry of None stands for its reference.
-
-    Attributes:
-        regions: of the frame, by name.
-        folder: for images.
-    """
+    """An evaluated view, numbered from 0, and its regions by name; an entry of None is its reference."""
 
     number: int
     view: View
@@ -180,13 +172,9 @@ def evaluated_views(
 
 
 def quality_rows(
-    entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Callable[[int, int], None]
+    entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Steps
 ) -> list[dict[str, Any]]:
-    """Rows of view, method, budget, region, metric and value, of references as well; writes the images.
-
-    Images whose rows the journal holds are not rendered again. `progress` is called with images scored and
-    images in total.
-    """
+    """Rows of view, method, budget, region, metric and value; writes images unless the journal has them."""
     wanted = [(view, entry) for view in views for entry in (None, *entries)]
     missing = [(view, entry) for view, entry in wanted if view.title(entry) not in journal]
     tasks = ((view.title(entry), view.task(entry)) for view, entry in missing)
@@ -215,15 +203,8 @@ class Timing:
         few = len(self.totals) < _LEAST_REPEATS
         return not few and (self.entry.briefly or sum(self.totals) > 1000 * _MOST_SECONDS)
 
-    def add(self, milliseconds: dict[str, float]) -> None:
-        for name, value in milliseconds.items():
-            self.passes.setdefault(name, []).append(value)
-
     def row(self, views: Sequence[View], ours: Timing | None) -> dict[str, Any]:
-        """The row of the results, without percentiles for which there are too few frames.
-
-        It is compared with `ours`, if there is one, over the frames that both have.
-        """
+        """The row of the results, compared with `ours`, if there is one, over the frames that both have."""
         known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
         row = {
             "method": self.entry.name,
@@ -244,27 +225,16 @@ class Timing:
 
 
 def time_rows(
-    entries: list[Entry],
-    views: Sequence[View],
-    gaze: Gaze,
-    repeats: int,
-    journal: Journal,
-    progress: Callable[[int, int], None],
+    entries: list[Entry], views: Sequence[View], gaze: Gaze, repeats: int, journal: Journal, progress: Steps
 ) -> list[dict[str, Any]]:
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 
-    All entries take turns along one gaze path and through the views, after a warm-up. The camera turns a
-    little from frame to frame, so that no frame reuses what another one, even of another entry, has computed
-    for its view. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over
-    that of OURS, of frames that were rendered in turns.
-
-    Args:
-        views: of one size.
-        gaze: centre of the path.
-        repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take
-            over 80 seconds.
-        journal: stores the times; those it holds are not measured again.
-        progress: called with rounds done and rounds in total.
+    All entries take turns along one gaze path around `gaze` and through the views, of one size, after a
+    warm-up. The camera turns a little from frame to frame, so that no frame reuses what another one, even of
+    another entry, has computed for its view. An entry that is timed briefly has 20 frames instead of
+    `repeats`, and one that would take over 80 seconds fewer. Times that the journal holds are not measured
+    again. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over that of
+    OURS, of frames that were rendered in turns.
     """
     times: dict[str, dict[str, list[float]]] = journal.once("times", dict)
     timings = [Timing(entry, times.setdefault(entry.title, {})) for entry in entries]
@@ -281,7 +251,8 @@ def time_rows(
             at = path[_step(timing, number, repeats)]
             milliseconds = timing.entry.method.render(own, at, number).milliseconds
             if turn >= 0:
-                timing.add(milliseconds)
+                for name, value in milliseconds.items():
+                    timing.passes.setdefault(name, []).append(value)
         if turn >= 0 and number % _ROUNDS == _ROUNDS - 1:
             journal.write()
         progress(number + 1, repeats)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -13,6 +13,7 @@ from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.image.colour import Image
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import Family, Tuning, WarpTuning, enlarged, warped
 from hybrid.evaluation.methods import Method
 from hybrid.measure.frame_times import jittered_view, path_around, ratio_interval, ratio_of_medians
@@ -41,15 +42,8 @@ def at_equal_time(
 ) -> float | None:
     """Rays per pixel at which a baseline comes closest to our time without exceeding it by over 3 %.
 
-    Args:
-        family: of the baseline; its time must grow with its rays.
-        ours: the method whose time is to be met.
-        views: through which frames go in turn.
-        gaze: centre of the path that gazes follow.
-        rays: to start from.
-
-    Returns:
-        The rays; None if every trial took longer.
+    The time of the baseline's family must grow with its rays, of which `rays` are tried first. Frames go
+    through the views in turn, their gazes along a path around `gaze`. None if every trial took longer.
     """
     known: dict[str, float] = {}
     within: Trial | None = None
@@ -96,15 +90,11 @@ def relative_time(method: Method, ours: Method, views: Sequence[View], gaze: Gaz
         for number, (one, found) in enumerate(zip((method, ours), times, strict=True)):
             found.append(one.render(jittered_view(view, 2 * seed + number), at, seed).milliseconds["total"])
         # The first frames warm up.
-        if seed and seed % _STEP == 0 and _is_decided(*ratio_interval(times[0][1:], times[1][1:])):
-            break
+        if seed and seed % _STEP == 0:
+            low, high = ratio_interval(times[0][1:], times[1][1:])
+            if low > 1 + TOLERANCE or high < 1 - TOLERANCE or high - low <= TOLERANCE:
+                break
     return ratio_of_medians(times[0][1:], times[1][1:])
-
-
-def _is_decided(low: float, high: float) -> bool:
-    """Whether an interval of ratios tells if times are equal."""
-    outside = low > 1 + TOLERANCE or high < 1 - TOLERANCE
-    return outside or high - low <= TOLERANCE
 
 
 def tuned(
@@ -113,16 +103,14 @@ def tuned(
     references: list[Image],
     foveation: Foveation,
     rays: float,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> Tuning:
     """The settings with the highest mean SSIM, of the whole frame and of the fovea, at a number of rays.
 
-    Args:
-        views, references: to tune on; references are (H, W, 3) radiance.
-        rays: per pixel of the frame.
-        progress: called with settings tried and settings in total.
+    They are tuned on views with references (H, W, 3), linear radiance; rays are per pixel of the frame.
     """
-    counts = _sample_counts(rays)
+    # With fewer samples per pixel than `rays`, the smaller image would be larger than the frame.
+    counts = [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]
     warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]
     baselines: list[Method] = [warped(tracer, tuning, rays) for tuning in warps]
     baselines += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
@@ -142,8 +130,3 @@ def _foveal(foveation: Foveation, truth: Image) -> NDArray[np.float32] | None:
     """(H, W) the fovea's pixels as weights of SSIM; None, for all pixels, if SSIM has no value there."""
     mask = regions(foveation, truth)["foveal"].mask.astype(np.float32)
     return mask if has_valid(mask) else None
-
-
-def _sample_counts(rays: float) -> list[int]:
-    """Samples per pixel to try; with fewer than `rays`, the smaller image would be larger than the frame."""
-    return [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]

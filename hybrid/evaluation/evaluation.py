@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera, View
+from compose.camera.camera import View
 from compose.image.colour import Image
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import device_arrays
 from hybrid.base.identity import machine, measured_identity, short_hash
 from hybrid.base.journal import Journal
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import Tuning
 from hybrid.evaluation.entries import (
     Entry,
@@ -52,12 +53,8 @@ _COSTS = {"references": 4e-3, "tuning": 44e3, "costs": 72e3, "quality": 63e3, "t
 class Evaluation:
     """Evaluates one scene with one forest; resumes if interrupted.
 
-    Args:
-        folder: of the report, for images and the journal.
-        flat: Gaussians without trees as a further baseline; None leaves it out.
-
-    Raises:
-        UserError: a forest belongs to another scene, or the folder holds another evaluation.
+    The report's folder gets images and the journal. `flat`, Gaussians without trees, are a further baseline.
+    UserError if a forest belongs to another scene, or the folder holds another evaluation.
     """
 
     def __init__(
@@ -92,10 +89,7 @@ class Evaluation:
         self.costs = Journal(file, identity)
 
     def run(self, progress: Callable[[str, float, float], None]) -> dict[str, Any]:
-        """Measures what is not measured yet, and returns the content of evaluation.json.
-
-        `progress` is called with the current activity, work done and work in total.
-        """
+        """The content of evaluation.json; `progress` gets the activity, work done and work in total."""
         settings = self.settings
         # First of all, so that whatever is written to the folder belongs to an evaluation.
         self.journal.write()
@@ -120,7 +114,15 @@ class Evaluation:
                 for number, found in enumerate(references)
                 for row in reference_errors(settings, number, found)
             ],
-            "methods": [self._method_row(entry, views[0].camera) for entry in entries],
+            "methods": [
+                {
+                    "method": entry.name,
+                    "budget": entry.budget,
+                    "rays": entry.method.rays(views[0].camera, gaze),
+                    **entry.method.settings,
+                }
+                for entry in entries
+            ],
             "quality": quality,
             "time": times,
             "plan": plan_of_forest(self.forest),
@@ -138,7 +140,6 @@ class Evaluation:
         return found
 
     def _entries(self, views: list[View], work: WorkProgress) -> list[Entry]:
-        """All methods at all budgets."""
         gaze = self.settings.frame.gaze
         hybrid = hybrid_entries(self.renderer, self.settings)
         ours = next(entry for entry in hybrid if entry.name == OURS)
@@ -161,17 +162,9 @@ class Evaluation:
             truths.append(truth.radiance)
         return tuned(self.baseline_tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
 
-    def _method_row(self, entry: Entry, camera: Camera) -> dict[str, Any]:
-        """An entry with its rays and settings."""
-        rays = entry.method.rays(camera, self.settings.frame.gaze)
-        return {"method": entry.name, "budget": entry.budget, "rays": rays, **entry.method.settings}
-
 
 class WorkProgress:
-    """Adds up the progress of all kinds of work, weighted by what they take.
-
-    `report` is called with the kind of work, work done and work in total.
-    """
+    """Adds up the progress of all kinds of work, weighted by what they take, and reports it."""
 
     def __init__(self, settings: EvaluationSettings, report: Callable[[str, float, float], None]):
         views, samples = settings.views, settings.width * settings.height * settings.reference_spp
@@ -180,7 +173,7 @@ class WorkProgress:
         self._done = dict.fromkeys(_COSTS, 0.0)
         self._report = report
 
-    def of(self, kind: str) -> Callable[[int, int], None]:
+    def of(self, kind: str) -> Steps:
         """The progress callback of one kind of work: called with steps done and steps in total."""
 
         def progress(done: int, total: int) -> None:

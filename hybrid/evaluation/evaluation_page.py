@@ -52,11 +52,7 @@ def rendered(template: str, **values: Any) -> str:
 
 
 def evaluated_scene(folder: Path) -> str:
-    """Name of the scene that the evaluation in a folder is of.
-
-    Raises:
-        UserError: the folder holds no evaluation, or a damaged one.
-    """
+    """Name of the scene of the evaluation in a folder; UserError if there is none, or a damaged one."""
     file = folder / "evaluation.json"
     try:
         found = read_json(file, finite=False)

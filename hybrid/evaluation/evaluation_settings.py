@@ -60,9 +60,8 @@ class EvaluationSettings:
     def require_measurable(self) -> None:
         """Checks that all metrics can be computed in all regions, in frames and in those for tuning.
 
-        Raises:
-            UserError: the display is too dense, the frame is smaller than SSIM's window at half its size, or
-                a region is empty or too small for the metrics.
+        UserError if the display is too dense, the frame is smaller than SSIM's window at half its size, or a
+        region is empty or too small for the metrics.
         """
         density = self.frame.display.pixels_per_degree
         if density > _DENSEST:

@@ -4,8 +4,6 @@ Its frame rates are those of its own scene and renderers on an RTX 3060: ratios 
 times are not.
 """
 
-from __future__ import annotations
-
 # (width, height): frames per second of FPC and of its path tracing. Tables 4 and 5.
 TABLE_4 = {
     (800, 600): (265.4, 330.2),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 from compose.base.errors import UserError, one_line
@@ -42,13 +41,10 @@ def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float
 
 @dataclass(frozen=True)
 class MeasuredSettings:
-    """Frame settings with the time and quality measured for them.
+    """Frame settings with the median time of a frame, and the quality, measured for them.
 
-    Attributes:
-        settings: of the frame; its gaze and camera have no meaning here.
-        milliseconds: median time of a frame.
-        quality: JOD, or SSIM if FovVideoVDP is not installed; mean over the views in which it was measured.
-        spread: its least and its greatest value over these views; None for a single view.
+    Quality is in JOD, or SSIM without FovVideoVDP: the mean over views, and the spread from the least to the
+    greatest value, None for a single view. The settings' gaze and camera have no meaning here.
 
     Raises:
         ValueError: the time or the quality is not finite, or the time is not positive: such settings could
@@ -72,33 +68,16 @@ def front_of(measured: Sequence[MeasuredSettings]) -> list[MeasuredSettings]:
     return pareto_front(measured, lambda one: (one.milliseconds, one.quality))
 
 
-@dataclass(frozen=True)
 class MeasuredStore:
-    """Stores measured settings of one scene, forest, frame size, acuity model, display and machine.
+    """Stores measured settings of one kind of frame, single ones or the window's, on this machine.
 
-    Attributes:
-        file: in the scene's cache folder.
-        identity: everything that the measurements depend on.
-        base: settings with the acuity model and the display of the measurements.
+    The file, in the scene's cache folder, is of one scene, forest and frame size, width and height, and of
+    the acuity model, the integrator and the display of the base.
     """
 
-    file: Path
-    identity: dict[str, Any]
-    base: FrameSettings
-
-    @staticmethod
-    def of(
-        kind: str, scene: Scene, forest: Forest, size: tuple[int, int], base: FrameSettings
-    ) -> MeasuredStore:
-        """The store for one kind of frame.
-
-        Args:
-            kind: name of what is measured, such as single frames or those of the window.
-            size: width and height of the frame in pixels.
-            base: settings with the acuity model, the integrator and the display.
-        """
-        width, height = size
-        identity = measured_identity(
+    def __init__(self, kind: str, scene: Scene, forest: Forest, size: tuple[int, int], base: FrameSettings):
+        self._base, (width, height) = base, size
+        self._identity = identity = measured_identity(
             scene,
             forest,
             kind=kind,
@@ -109,12 +88,12 @@ class MeasuredStore:
             display=asdict(base.display),
         )
         name = f"measured-{kind}-{width}x{height}-{short_hash(identity)}.json"
-        return MeasuredStore(scene_folder(scene.name, scene.hash) / name, identity, base)
+        self.file = scene_folder(scene.name, scene.hash) / name
 
     def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
         """Stores settings whose quality was measured in a metric; UserError if they cannot be written."""
         rows = [_row(one) for one in measured]
-        text = json_text({"identity": self.identity, "metric": metric, "rows": rows})
+        text = json_text({"identity": self._identity, "metric": metric, "rows": rows})
         write_whole(self.file, lambda part: part.write_text(text))
 
     def load(self) -> tuple[str, list[MeasuredSettings]] | None:
@@ -128,7 +107,7 @@ class MeasuredStore:
             return None
         except (OSError, ValueError, LookupError, TypeError, UserError) as error:
             raise UserError(f"{self.file}: is damaged ({one_line(repr(error))}); {advice}") from error
-        require_same(theirs, self.identity, f"{self.file}: was measured", advice)
+        require_same(theirs, self._identity, f"{self.file}: was measured", advice)
         return metric, measured
 
     def _measured(self, row: dict[str, Any]) -> MeasuredSettings:
@@ -137,7 +116,7 @@ class MeasuredStore:
         between = row.get("spread")
         spread = None if between is None else (float(between[0]), float(between[1]))
         milliseconds, quality = float(row["milliseconds"]), float(row["quality"])
-        return MeasuredSettings(replace(self.base, **varied), milliseconds, quality, spread)
+        return MeasuredSettings(replace(self._base, **varied), milliseconds, quality, spread)
 
 
 def _row(one: MeasuredSettings) -> dict[str, Any]:
@@ -149,34 +128,27 @@ def _row(one: MeasuredSettings) -> dict[str, Any]:
 def chosen(
     metric: str, measured: Sequence[MeasuredSettings], milliseconds: float | None, quality: float | None
 ) -> MeasuredSettings:
-    """The best settings within a time, or the fastest that reach a quality, or the fastest that do both.
+    """The best settings within a time, or the fastest that reach a quality in JOD, or that do both.
 
-    Args:
-        metric: in which quality was measured, jod or ssim.
-        measured: settings to choose from.
-        milliseconds: the time that a frame may take; None for any.
-        quality: the quality in JOD that a frame must reach; None for any.
-
-    Raises:
-        UserError: there are no settings or none meets the target, or a quality is asked for but was not
-            measured in JOD.
+    The metric, jod or ssim, is that of the measurements; None allows any time or quality. UserError if there
+    are no settings or none meets the target, or if a quality is asked for but was not measured in JOD.
     """
-    if not measured:
+    front = front_of(measured)
+    if not front:
         raise UserError("no settings have been measured to choose from; run: hybrid sweep --over trade")
     if quality is not None and metric != "jod":
         raise UserError(
             f"target of {quality:g} JOD: quality was measured in {metric.upper()}; {INSTALL}, then measure "
             "again: hybrid sweep --over trade"
         )
-    fitting = [one for one in measured if milliseconds is None or one.milliseconds <= milliseconds]
+    fitting = [one for one in front if milliseconds is None or one.milliseconds <= milliseconds]
     if not fitting:
-        least = min(one.milliseconds for one in measured)
+        least = front[0].milliseconds
         raise UserError(f"target of {milliseconds:g} ms: the fastest settings take {least:.0f} ms")
+    best = fitting[-1]
     if quality is None:
-        return max(fitting, key=lambda one: (one.quality, -one.milliseconds))
-    good = [one for one in fitting if one.quality >= quality]
-    if not good:
-        best = max(one.quality for one in fitting)
+        return best
+    if best.quality < quality:
         within = "" if milliseconds is None else f" in {milliseconds:g} ms"
-        raise UserError(f"target of {quality:g} JOD: the best settings{within} reach {best:.2f}")
-    return min(good, key=lambda one: one.milliseconds)
+        raise UserError(f"target of {quality:g} JOD: the best settings{within} reach {best.quality:.2f}")
+    return next(one for one in fitting if one.quality >= quality)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from compose.camera.camera import View
 from compose.image.colour import Image
 from hybrid.base.identity import machine
-from hybrid.base.progress import Bars, no_bars
+from hybrid.base.progress import Bars, Steps, no_bars
 from hybrid.evaluation.comparison import compare
 from hybrid.evaluation.quickstart_page import write_page
 from hybrid.measure.image_metrics import quality, registration_px
@@ -45,18 +44,10 @@ _TIMES = (
 def quickstart(
     scene: Scene, folder: Path, settings: FrameSettings, seed: int, bars: Bars = no_bars
 ) -> dict[str, Any]:
-    """Captures, trains, renders and measures; writes images and a page.
+    """Captures, trains, renders and measures; writes images and a page; returns result.json's content.
 
     All figures of frames are those of views that nothing was fitted to; the images are of the first of them.
-
-    Args:
-        folder: for everything that is written, including frame set and forest.
-        settings: of the frame; the disc must contain a pixel of a frame of SIZE x SIZE.
-        seed: same seed, same images on the same machine.
-        bars: show the progress of each part.
-
-    Returns:
-        The content of result.json.
+    The disc of the settings must contain a pixel of a frame of SIZE x SIZE.
     """
     start = time.perf_counter()
     forest, frames = make_quick_forest(scene, folder, seed, bars)
@@ -114,7 +105,7 @@ def judged_views(
     settings: FrameSettings,
     reference_spp: int,
     seed: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[JudgedView]:
     """The frames of some views, and what they are compared with; same seed, same images on one machine."""
     found = []
@@ -132,9 +123,8 @@ def judged_views(
 def judged_quality(views: list[JudgedView]) -> dict[str, Any]:
     """Entries of result.json: means over the views, and the least and the greatest value of a view.
 
-    Returns:
-        `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no
-        view has a window with enough texture; and of each of these its `..._range`.
+    `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no view
+    has a window with enough texture; and of each of these its `..._range`.
     """
     found: dict[str, Any] = {"views": len(views)}
     images = {"hybrid": [one.frame.composite for one in views], "splats_alone": [one.splats for one in views]}

@@ -28,16 +28,7 @@ _IMAGES = (
 
 
 def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
-    """Writes the page.
-
-    Args:
-        path: HTML file to write.
-        folder: with the images hybrid.png, reference.png, splat.png and weights.png, which are embedded.
-        result: the content of result.json.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Writes the page, which embeds the folder's four images; UserError if it cannot be written."""
     machine = result["machine"]
     page = rendered(
         "quickstart.html",
@@ -65,7 +56,6 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Names and values of the measurements."""
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in result["seconds"].items())
     ceiling = f"at most {result['ceiling']:.2f}×, if splats took no time"
     speed_up = with_range(result["ratio"], result.get("ratio_range"), ".2f", "×")

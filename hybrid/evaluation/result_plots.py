@@ -108,11 +108,7 @@ def quality_over_time_plot(results: Results, region: str, metric: str) -> str | 
 
 
 def samples_plot(results: Results, metric: str) -> str | None:
-    """Foveal quality of fused frames over samples per pixel, with that of the splats as a line.
-
-    Returns:
-        None if the metric was not measured for all of them.
-    """
+    """Foveal quality of fused frames over samples per pixel; None if the metric was not always measured."""
     splats = results.mean(Key("splats alone", FIXED), "foveal", metric)
     by_spp = {spp: value for spp, value in results.fused_by_spp(metric).items() if value is not None}
     if splats is None or len(by_spp) < len(results.fused_by_spp(metric)):

@@ -23,10 +23,9 @@ def is_better(metric: str, ours: float, theirs: float) -> bool:
 
 
 class Results:
-    """The content of evaluation.json, with its values by method and budget, region, and metric.
+    """The content of evaluation.json (`found`), with its values by method and budget, region, and metric.
 
     Attributes:
-        found: the content.
         keys: methods and budgets, in the order in which they were measured.
         times: median milliseconds of the methods and budgets that were timed.
     """
@@ -76,11 +75,7 @@ class Results:
         return float(np.sqrt(np.mean(np.square(spreads)))) if spreads else 0.0
 
     def outcomes(self, key: Key, region: str, metric: str) -> list[bool | None]:
-        """Whether our frame is better than another method, view by view.
-
-        Returns:
-            None for a view where the two differ by no more than twice the noise.
-        """
+        """Whether our frame is better, view by view; None for differences up to twice the noise."""
         least = 2 * self.noise(key, region, metric)
         differences = self._differences(key, region, metric).values()
         return [None if abs(one) <= least else is_better(metric, one, 0.0) for one in differences]
@@ -91,11 +86,7 @@ class Results:
         return {view: ours[view] - theirs[view] for view in sorted(ours.keys() & theirs.keys())}
 
     def is_ahead(self, key: Key, region: str, metric: str) -> bool | None:
-        """Whether our frame is better than a baseline on the mean over the views.
-
-        Returns:
-            None if they do not differ, or if either half of the references says otherwise than the whole.
-        """
+        """Whether our frame is better on average; None if equal, or if the references' halves disagree."""
         outcomes: set[bool | None] = set()
         for name in (metric, half_name(metric, 1), half_name(metric, 2)):
             ours, theirs = (self.mean(k, region, name) for k in (OURS_KEY, key))
@@ -147,10 +138,7 @@ _SENTENCES = {
 
 
 def verdicts(found: dict[str, Any]) -> list[str]:
-    """Sentences for the top of the report, from the content of evaluation.json.
-
-    Those about baselines that are better come first.
-    """
+    """Sentences for the top of the report; those about baselines that are better come first."""
     results = Results(found)
     metrics = results.foveal_metrics
     compared = [_compared(results, "foveal", metric) for metric in metrics]
@@ -165,11 +153,7 @@ def verdicts(found: dict[str, Any]) -> list[str]:
 
 
 def _compared(results: Results, region: str, metric: str) -> tuple[str, dict[bool | None, list[str]]]:
-    """Our frame against the affordable baselines, by one metric of one region.
-
-    Returns:
-        The beginning of each sentence; and texts about the baselines by whether our frame is ahead of them.
-    """
+    """The beginning of each sentence, and texts on affordable baselines by whether our frame is ahead."""
     by_outcome: dict[bool | None, list[str]] = {True: [], False: [], None: []}
     where = "In the fovea" if region == "foveal" else "Over the whole frame"
     ours = results.mean(OURS_KEY, region, metric)

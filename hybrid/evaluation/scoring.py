@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from compose.image.colour import Image
 from hybrid.evaluation.result_keys import half_name
@@ -30,15 +29,9 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class ScoringTask:
-    """An image to score.
+    """An image to score: the method that made it, and what it is compared with, (H, W, 3) linear radiance.
 
-    Attributes:
-        method: that made it.
-        image, reference: (H, W, 3) linear radiance.
-        halves: of the reference, (H, W, 3) each, to which the image is compared as well.
-        regions: of the frame, by name.
-        viewer: display and gaze.
-        flip_file: where to write the FLIP map; None does not write it.
+    It is compared with the reference's halves as well. The FLIP map goes to a file unless that is None.
     """
 
     method: str
@@ -56,7 +49,10 @@ def score(task: ScoringTask) -> Rows:
     if task.flip_file is not None:
         error = flip_map(task.image, task.reference, task.viewer.display.pixels_per_degree)
         if error is not None:
-            write_srgb(task.flip_file, _coloured(error))
+            from matplotlib import colormaps
+
+            # The colours of FLIP's authors.
+            write_srgb(task.flip_file, np.asarray(colormaps["magma"](error, bytes=True)[..., :3]))
     rows: Rows = metric_rows(
         task.image, task.reference, task.regions, task.viewer, task.method, whole_flip=error
     )
@@ -67,10 +63,7 @@ def score(task: ScoringTask) -> Rows:
 
 
 def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tuple[str, Rows]]:
-    """Names of tasks and the results of `score`, in the order of the tasks.
-
-    Tasks are consumed one by one, a few ahead of those that are being scored.
-    """
+    """Names of tasks, which are consumed a few ahead, and the results of `score`, in the same order."""
     workers = len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker)
     waiting: deque[tuple[str, Future[Rows]]] = deque()
@@ -99,10 +92,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _coloured(error: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(H, W, 3) an error map (H, W) in 0..1, in the colours of FLIP's authors."""
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps["magma"](error, bytes=True)[..., :3])

@@ -58,13 +58,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class SweepEffort:
-    """How much a sweep measures.
-
-    Attributes:
-        repeats: measured frames per row.
-        warm_up: frames before that, which are not measured.
-        reference_spp: samples per pixel of the references.
-    """
+    """How much a sweep measures: frames per row, after those of the warm-up, and samples of references."""
 
     repeats: int
     warm_up: int
@@ -83,12 +77,9 @@ Settings = Callable[[Setting, list[View]], list[Setting]]
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep.
+    """A sweep: the rows that it makes, its title, and whether it measures quality as well as time.
 
     Attributes:
-        settings: makes its rows.
-        title: of its table.
-        with_quality: whether quality is measured as well as time.
         sets: quantities that it sets itself: size, fovea, fov_a, fov_b, spp or acuity_model.
         scales_radii: whether it sets fov_a and keeps the ratio of the two radii.
         over_views: whether its rows are views; the rows of the others are measured in several.
@@ -230,11 +221,7 @@ def layer_sweep(counts: tuple[int, ...]) -> Sweep:
 
 
 def sweep_named(name: str, counts: tuple[int, ...]) -> Sweep:
-    """The sweep with that name, of a forest with so many nodes per layer, coarsest first.
-
-    Raises:
-        UserError: there is no such sweep.
-    """
+    """The sweep of that name, for nodes per layer of a forest, coarsest first; UserError if there is none."""
     known = {**SWEEPS, "layers": layer_sweep(counts)}
     if name not in known:
         names = list(known)

@@ -14,6 +14,7 @@ from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import machine, measured_identity, short_hash
 from hybrid.base.journal import Journal
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import FullTrace
 from hybrid.evaluation.comparison import covered, reach_for
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
@@ -53,25 +54,17 @@ def sweep(
     base: Setting,
     effort: SweepEffort,
     write: Callable[[dict[str, Any]], None],
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> dict[str, Any]:
-    """Times hybrid frames and full path tracing in turns, over one quantity.
+    """Times hybrid frames and full path tracing in turns, over one quantity, from a base setting.
 
     Frames are timed, and their quality is measured, in three views that nothing was fitted to; the scene's
-    own view is one of those that splats are trained on. A row of the sweep over views is one such view.
+    own view is one of those that splats are trained on. A row of the sweep over views is one such view. The
+    result is written before the intermediate results are deleted. Progress counts in thousandths of a row.
 
-    Args:
-        over: name of the sweep.
-        base: the setting that it varies.
-        write: called with the result before the intermediate results are deleted.
-        progress: called with work done and work in total, in thousandths of a row.
-
-    Returns:
-        scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the sweep
-        over the radius), the settings that all rows have in common, and machine.
-
-    Raises:
-        UserError: there is no such sweep, or a region whose quality is measured is empty.
+    Returns scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the
+    sweep over the radius), the settings that all rows have in common, and machine. UserError if there is no
+    such sweep, or if a region whose quality is measured is empty.
     """
     chosen = sweep_named(over, forest.counts)
     views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)
@@ -111,7 +104,7 @@ def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dic
         for setting, row in zip(settings, rows, strict=True)
     ]
     camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
-    MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
+    MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
 
 
 def swept(
@@ -121,7 +114,7 @@ def swept(
     with_quality: bool,
     effort: SweepEffort,
     journal: Journal,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, Any]]:
     """One row per setting: the varied quantities, `ms` of hybrid and `full_ms` of full frames, their `ratio`.
 
@@ -131,16 +124,10 @@ def swept(
     views of a row in turn, and each has a camera of its own, so that frames reuse nothing. `ms_range`,
     `ratio_range` and `quality_range` are the least and the greatest value over the views, of medians where
     times are concerned. `ratio_1spp` is the ratio to the full frame at one sample per pixel, if a setting
-    asks for it.
+    asks for it. Quality is measured with the gaze at the centre.
 
-    Args:
-        settings: the rows.
-        with_quality: whether to measure quality as well, with the gaze at the centre.
-        journal: stores the rows of each view and size; those it holds are not measured again.
-        progress: called with work done and work in total, in thousandths of a row.
-
-    Raises:
-        UserError: a region whose quality is measured is empty; raised before anything is measured.
+    Rows that the journal holds are not measured again. UserError, before anything is measured, if a region
+    whose quality is measured is empty.
     """
     if with_quality:
         for setting in settings:
@@ -159,11 +146,7 @@ def swept(
 
 
 def _group(
-    renderer: Renderer,
-    same: list[Setting],
-    with_quality: bool,
-    effort: SweepEffort,
-    progress: Callable[[int, int], None],
+    renderer: Renderer, same: list[Setting], with_quality: bool, effort: SweepEffort, progress: Steps
 ) -> list[dict[str, Any]]:
     """Rows of the same views, which take turns."""
     camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
@@ -247,9 +230,8 @@ def quality_of(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Metrics of a row's frames by region and metric, such as "foveal jod", against those of its views.
 
-    Returns:
-        Means over the views, and the least and the greatest value. A metric that has no value in one of the
-        views is left out: its mean would be of other views than those of other rows.
+    They are means over the views, with the least and the greatest value. A metric that has no value in one of
+    the views is left out: its mean would be of other views than those of other rows.
     """
     viewer, parts = Viewer(setting.frame.display, Gaze()), regions_of(setting)
     found: dict[str, list[float]] = {}

@@ -60,15 +60,8 @@ def metric_rows(
     computed for the whole frame only. SSIM is left out of a region that lies within 5 pixels of the border,
     LPIPS and FovVideoVDP of those too small for them.
 
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        regions: of the frame, by name.
-        viewer: for FLIP, FovVideoVDP and `fssim`.
-        name: of the image, for messages.
-        whole_flip: (H, W) FLIP map, if known already.
-
-    Raises:
-        UserError: the two images cannot be compared.
+    Images are (H, W, 3), linear radiance; UserError, with the image's name, if they cannot be compared. The
+    FLIP map (H, W) may be known already.
     """
     checked_pair(image, reference, name)
     return [
@@ -81,10 +74,10 @@ def metric_rows(
 def tie_metrics(
     image: Image, half: Image, regions: dict[str, ImageRegion], viewer: Viewer
 ) -> list[dict[str, float | str]]:
-    """Rows of region, metric and value against half of a reference's samples, from which ties are told.
+    """Rows as of `metric_rows`, against half of a reference's samples, from which ties are told.
 
     These are the metrics that methods are compared by: JOD and FLIP of the fovea, PSNR and SSIM if neither is
-    installed, and SSIM of the whole frame. Arguments are those of `metric_rows`.
+    installed, and SSIM of the whole frame.
     """
     fovea = regions["foveal"]
     whole = ImageRegion.of("whole", np.ones_like(fovea.mask))
@@ -106,10 +99,7 @@ def region_metrics(
     wanted: Iterable[str] = METRICS,
     whole_flip: Map | None = None,
 ) -> dict[str, float]:
-    """The wanted metrics of one region, in that order, as far as they are installed and have a value there.
-
-    Arguments are those of `metric_rows`.
-    """
+    """The wanted metrics of one region, in that order, as far as `metric_rows` has them."""
     alone, density = region.alone(image, reference), viewer.display.pixels_per_degree
     cropped = region.name == "foveal"
     box = region.box if cropped else np.s_[:, :]
@@ -121,17 +111,24 @@ def region_metrics(
             return None
         return valid_mean(map_of_ssim(), weight)
 
+    def mean_near(metric: Callable[[Image, Image, float], Map | None]) -> float | None:
+        """Mean of a FLIP map over the region, computed no further than FLIP's filters reach."""
+        reach = flip_reach(density)
+        near = tuple(slice(max(0, side.start - reach), side.stop + reach) for side in region.box)
+        error = metric(alone[near], reference[near], density)
+        return None if error is None else float(error[region.mask[near]].mean())
+
     def flip() -> float | None:
         if region.name == "whole" and whole_flip is not None:
             return float(whole_flip.mean())
-        return _mean_in_region(flip_map, alone, reference, region, density)
+        return mean_near(flip_map)
 
     metrics: dict[str, Callable[[], float | None]] = {
         "psnr": lambda: psnr(image, reference, region.mask),
         "ssim": lambda: mean_ssim(region.mask.astype(np.float32)),
         "fssim": lambda: mean_ssim(acuity_weight(viewer, image.shape[:2])),
         "flip": flip,
-        "hdr-flip": lambda: _mean_in_region(hdr_flip_map, alone, reference, region, density),
+        "hdr-flip": lambda: mean_near(hdr_flip_map),
         "lpips": lambda: lpips(alone[box], reference[box]),
         "jod": lambda: jod(alone[box], reference[box], viewer.display, gaze),
     }
@@ -143,20 +140,6 @@ def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     """(H, W) cut-off frequency at each pixel of a frame of that height and width, relative to the gaze's."""
     angles = eccentricity(viewer.display.viewer(size[1], size[0]), viewer.gaze).astype(np.float64)
     return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
-
-
-def _mean_in_region(
-    metric: Callable[[Image, Image, float], Map | None],
-    alone: Image,
-    reference: Image,
-    region: ImageRegion,
-    density: float,
-) -> float | None:
-    """Mean of a FLIP map over the region, computed no further than FLIP's filters reach."""
-    reach = flip_reach(density)
-    box = tuple(slice(max(0, side.start - reach), side.stop + reach) for side in region.box)
-    error = metric(alone[box], reference[box], density)
-    return None if error is None else float(error[region.mask[box]].mean())
 
 
 # Packages of the optional metrics, and how to install them.

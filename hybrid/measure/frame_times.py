@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import Camera, View
+from compose.camera.camera import View
 from compose.eye.gaze import Gaze
-from hybrid.base.progress import no_progress
+from hybrid.base.progress import Steps, no_progress
 
 # How far the gaze moves from the centre, in fractions of the frame's width and height.
 REACH = (0.15, 0.15)
@@ -25,22 +25,14 @@ _RESAMPLINGS, _OUTSIDE = 1000, 0.05
 
 
 def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
-    """Percentiles by name, such as p50 for the median; of few frames, interpolated between two of them.
-
-    Raises:
-        ValueError: there are no frames, or a time is negative or not finite.
-    """
+    """Percentiles by name, such as p50; ValueError without times, or if one is negative or not finite."""
     if not milliseconds or not all(0 <= time < math.inf for time in milliseconds):
         raise ValueError(f"{len(milliseconds)} frames: there must be some, all of finite times")
     return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
 
 
 def ratio_of_medians(over: Sequence[float], under: Sequence[float]) -> float:
-    """Median of the first times over that of the second ones.
-
-    Raises:
-        ValueError: there are no times, or a median is not positive and finite: no frame takes no time.
-    """
+    """Ratio of two medians; ValueError without times, or if a median is not positive and finite."""
     upper, lower = (float(np.median(times)) if len(times) else math.nan for times in (over, under))
     if not (0 < upper < math.inf and 0 < lower < math.inf):
         raise ValueError(f"medians of {upper} and {lower} ms: both must be positive and finite")
@@ -53,10 +45,7 @@ def medians_by_view(milliseconds: Sequence[float], views: int) -> list[float]:
 
 
 def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
-    """Interval that contains the ratio of two medians with 95 % confidence (bootstrap over pairs).
-
-    The times are those of frames that were rendered in turns, in pairs.
-    """
+    """95 % confidence interval of the ratio of two medians, by a bootstrap over pairs rendered in turns."""
     pairs = np.array([of_full, ours])
     picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
     medians = np.median(pairs[:, picks], axis=2)
@@ -80,8 +69,8 @@ def path_around(gaze: Gaze, count: int) -> list[Gaze]:
     return [Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)) for x, y in moved]
 
 
-def jittered(camera: Camera, number: int) -> Camera:
-    """The camera, turned about its vertical axis by too little to be visible.
+def jittered_view(view: View, number: int) -> View:
+    """The view, turned about the camera's vertical axis by too little to be visible.
 
     Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
     own pays for everything, as every frame does while the viewer moves. A thousand consecutive numbers of
@@ -91,29 +80,20 @@ def jittered(camera: Camera, number: int) -> Camera:
     turn = np.eye(4)
     turn[0, ::2] = math.cos(angle), math.sin(angle)
     turn[2, ::2] = -math.sin(angle), math.cos(angle)
-    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
-
-
-def jittered_view(view: View, number: int) -> View:
-    """The same time from a jittered camera."""
-    return replace(view, camera=jittered(view.camera, number))
+    return replace(view, camera=replace(view.camera, world_to_camera=turn @ view.camera.world_to_camera))
 
 
 def interleaved(
     methods: dict[str, Callable[[Gaze, int], Any]],
     repeats: int,
     warm_up: int,
-    progress: Callable[[int, int], None] = no_progress,
+    progress: Steps = no_progress,
     reach: tuple[float, float] = REACH,
 ) -> dict[str, list[float]]:
     """Milliseconds of each method at each step of the gaze path; at each step, all methods take turns.
 
-    Args:
-        methods: functions of gaze and seed that return when their frame is complete.
-        repeats: measured frames per method.
-        warm_up: frames before that, which are not measured.
-        progress: called with rounds done and rounds in total.
-        reach: of the gaze path.
+    Methods are functions of gaze and seed that return when their frame is complete. Warm-up frames come
+    before the `repeats` measured ones.
     """
 
     def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
@@ -130,7 +110,7 @@ def interleaved_passes(
     methods: Sequence[Callable[[Gaze, int], dict[str, float]]],
     repeats: int,
     warm_up: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
     reach: tuple[float, float] = REACH,
 ) -> list[list[dict[str, float]]]:
     """Milliseconds per pass of each frame of each method: `interleaved` for frames that time themselves."""

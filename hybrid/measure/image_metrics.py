@@ -13,16 +13,10 @@ from compose.image.colour import Image, luminance, srgb_from_radiance
 
 
 def checked_pair(image: Image, reference: Image, name: str = "the image") -> None:
-    """Checks that two images can be compared.
+    """Checks that two images (..., 3) can be compared; the name is that of the first in messages.
 
-    Some metrics would ignore a pixel that is not finite and others would yield NaN: neither is a figure.
-
-    Args:
-        image, reference: (..., 3).
-        name: of the image, for the message.
-
-    Raises:
-        UserError: their sizes differ, they have no pixels, or one has a pixel that is not finite.
+    UserError if their sizes differ, they have no pixels, or one has a pixel that is not finite: some metrics
+    would ignore it and others would yield NaN, neither of which is a figure.
     """
     if image.shape != reference.shape:
         raise UserError(
@@ -47,10 +41,7 @@ _LEAST_ERROR = 1e-12
 def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float:
     """Peak signal-to-noise ratio in dB of images (..., 3), as sRGB clipped to 0..1; at most 120.
 
-    If `where` (...) is given, only the pixels count where it is true.
-
-    Raises:
-        UserError: no pixel counts.
+    If `where` (...) is given, only the pixels count where it is true; UserError if no pixel counts.
     """
     checked_pair(image, reference)
     squares = (srgb_from_radiance(image) - srgb_from_radiance(reference)) ** 2
@@ -58,11 +49,7 @@ def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None)
 
 
 def psnr_of_error(squared_error: float) -> float:
-    """Peak signal-to-noise ratio in dB of a mean squared error of values in 0..1; at most 120.
-
-    Raises:
-        UserError: the error is not finite.
-    """
+    """PSNR in dB, at most 120, of a mean squared error of values in 0..1; UserError if not finite."""
     if not np.isfinite(squared_error):
         raise UserError(f"squared error {squared_error}: must be finite to have a PSNR")
     return float(-10 * np.log10(max(squared_error, _LEAST_ERROR)))
@@ -79,10 +66,7 @@ def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
     """(H, W) SSIM of images (H, W, 3) as sRGB clipped to 0..1, mean of the channels.
 
     As in Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance. Valid
-    from SSIM_MARGIN pixels inside the border on.
-
-    Raises:
-        UserError: the images are smaller than SSIM_WINDOW along an axis.
+    from SSIM_MARGIN pixels inside the border on. UserError if a side is smaller than SSIM_WINDOW.
     """
     checked_pair(image, reference)
     if min(image.shape[:2]) < SSIM_WINDOW:
@@ -112,11 +96,7 @@ def ssim(image: Image, reference: Image, weight: NDArray[np.float32] | None = No
 
 
 def valid_mean(similarity: NDArray[np.float32], weight: NDArray[np.float32] | None = None) -> float:
-    """Mean of an SSIM map (H, W) over its valid pixels, weighted by (H, W) or equally.
-
-    Raises:
-        UserError: no valid pixel has any weight.
-    """
+    """Mean of an SSIM map (H, W), weighted by (H, W) or equally; UserError if no valid pixel has weight."""
     if weight is not None and not has_valid(weight):
         raise UserError(f"SSIM: every pixel that counts is within {SSIM_MARGIN} pixels of the border")
     return float(np.average(similarity[_VALID], weights=None if weight is None else weight[_VALID]))
@@ -164,11 +144,7 @@ def registration_px(image: Image, reference: Image, where: NDArray[np.bool_] | N
             a, b = first[box], second[box]
             if b.std() < _TEXTURE or a.std() < _LEAST_TEXTURE:
                 continue
-            shift, _, _ = phase_cross_correlation(
-                (b - b.mean()) * taper,
-                (a - a.mean()) * taper,
-                upsample_factor=_UPSAMPLING,
-                normalization=None,
-            )
+            inputs = ((window - window.mean()) * taper for window in (b, a))
+            shift, _, _ = phase_cross_correlation(*inputs, upsample_factor=_UPSAMPLING, normalization=None)
             shifts.append(float(np.hypot(*shift)))
     return float(np.median(shifts)) if shifts else None

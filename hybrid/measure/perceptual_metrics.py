@@ -51,10 +51,7 @@ def flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArra
 
 
 def hdr_flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
-    """(H, W) HDR-FLIP, the largest FLIP over a range of exposures, which the reference alone determines.
-
-    None also if the reference is black, so that it determines no exposure.
-    """
+    """(H, W) HDR-FLIP, the largest FLIP over the reference's exposures; None also if that is black."""
     checked_pair(image, reference)
     if float(luminance(reference).max()) < _LEAST_LUMINANCE:
         return None
@@ -92,10 +89,9 @@ INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-re
 def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float | None:
     """Quality of a frame for a viewer with that gaze, in just-objectionable differences (JOD).
 
-    Returns:
-        10 for no difference, less for visible ones. None if the metric is not installed; if the images are
-        smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if the images differ but
-        neither has any contrast: the metric sees contrast only, so that black in place of white has 10.
+    It is 10 for no difference, less for visible ones. None if the metric is not installed; if the images are
+    smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if the images differ but
+    neither has any contrast: the metric sees contrast only, so that black in place of white has 10.
     """
     return jod_of_video([image], [reference], 0.0, display, gaze)
 
@@ -105,10 +101,8 @@ def jod_of_video(
 ) -> float | None:
     """Quality of one or more frames that follow each other, in JOD as in `jod` for one; the gaze rests.
 
-    The rate is in frames per second, and of no meaning for a single frame.
-
-    Raises:
-        ValueError: there are not as many images as references.
+    The rate is in frames per second, and of no meaning for a single frame. ValueError unless there are as
+    many images as references.
     """
     for image, reference in zip(images, references, strict=True):
         checked_pair(image, reference)

@@ -24,12 +24,10 @@ _STEP = 1e-3
 
 @dataclass(frozen=True)
 class Reference:
-    """What frames of a view are compared with.
+    """What frames of a view are compared with: the mean, (H, W, 3) linear, of two independent halves.
 
-    Attributes:
-        radiance: (H, W, 3) linear, mean of `halves`.
-        halves: two independent estimates (H, W, 3), each denoised on its own.
-        errors: (H, W) unbiased estimate of the radiance's squared error in sRGB; noisy, at times negative.
+    Each half is denoised on its own. The errors (H, W) are an unbiased estimate of the radiance's squared
+    error in sRGB; noisy, at times negative.
     """
 
     radiance: Image
@@ -70,11 +68,7 @@ class Reference:
 
 
 def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
-    """Traces a reference of a view with `spp` samples per pixel in total, one number or (H * W,).
-
-    Raises:
-        ValueError: there are fewer than 4 samples, one per independent part.
-    """
+    """A reference of `spp` samples per pixel in total, one number or (H * W,); ValueError below 4."""
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
     (first, its_parts), (second, others) = (_half(tracer, camera, spp, seed, n) for n in range(2))

@@ -25,13 +25,7 @@ _COARSE = 64
 
 @dataclass(frozen=True)
 class ImageRegion:
-    """Some pixels of a frame.
-
-    Attributes:
-        name: one of REGIONS.
-        mask: (H, W) its pixels.
-        box: rows and columns of the rectangle around them.
-    """
+    """Some pixels (H, W) of a frame, named as in REGIONS, and rows and columns of the box around them."""
 
     name: str
     mask: NDArray[np.bool_]
@@ -63,10 +57,8 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, ImageRegion]:
     """All regions of a frame with a reference (H, W, 3), by name.
 
     These are the whole frame; the foveal disc inside fov-a, band included; the seam, which is the band from
-    fov-b to fov-a; the periphery outside fov-a; and the salient fifth of the reference.
-
-    Raises:
-        UserError: the gaze lies outside the frame, or a region is empty.
+    fov-b to fov-a; the periphery outside fov-a; and the salient fifth of the reference. UserError if the gaze
+    lies outside the frame, or if a region is empty.
     """
     plain = plain_regions(foveation, (reference.shape[0], reference.shape[1]))
     return {**plain, "salient": ImageRegion.of("salient", _salient(reference))}
@@ -75,13 +67,10 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, ImageRegion]:
 def plain_regions(
     foveation: Foveation, size: tuple[int, int], wanted: Sequence[str] = REGIONS[:-1]
 ) -> dict[str, ImageRegion]:
-    """The regions that depend on foveation alone, by name.
+    """The regions that depend on foveation alone, by name, of a frame of that height and width.
 
-    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame. The
-    size is height and width.
-
-    Raises:
-        UserError: the gaze lies outside the frame, or a wanted region is empty.
+    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame.
+    UserError if the gaze lies outside the frame, or if a wanted region is empty.
     """
     gaze = foveation.gaze
     require_within_frame(gaze.x, gaze.y)

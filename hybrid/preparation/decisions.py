@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,27 +27,14 @@ Value = int | float | str | bool
 
 @dataclass(frozen=True)
 class Decision:
-    """What a scene requires of one part of the renderers.
-
-    Attributes:
-        name: of the part.
-        value: what is decided.
-        fixed: what would be taken for a scene that nobody has looked at.
-        evidence: the numbers that decide, by name.
-        gain: how many times less `of` there is than with the fixed value; 1 for as much.
-        of: what the gain counts, such as "time per path".
-    """
+    """What a scene requires of one part of the renderers."""
 
     name: str
     value: Value
-    fixed: Value
-    evidence: dict[str, Any]
-    gain: float
-    of: str
-
-    def row(self) -> dict[str, Any]:
-        """As `hybrid plan --json` writes it."""
-        return asdict(self)
+    fixed: Value  # what would be taken for a scene that nobody has looked at
+    evidence: dict[str, Any]  # the numbers that decide, by name
+    gain: float  # how many times less `of` there is than with the fixed value; 1 for as much
+    of: str  # what the gain counts, such as "segments per path"
 
 
 # Share of the mean radiance that may be lost to a bound on the length of paths.
@@ -59,13 +46,7 @@ _TRIED, _LEAST_PATH_GAIN = (3, 8), 1.1
 
 
 def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[Decision]:
-    """The depth of paths, and that of roulette.
-
-    Args:
-        scene: the scene.
-        cameras: views, that decide together.
-        seed: of the paths.
-    """
+    """The depth of paths, and that of roulette, which suit all views together."""
     depth = _depth_decision(scene, cameras, seed)
     return [depth, _roulette(scene, cameras, int(depth.value), seed)]
 
@@ -124,15 +105,10 @@ def degree_decision(look: Look) -> Decision:
     """The degree of the spherical harmonics."""
     gloss = np.concatenate([classes.ravel() for classes in look.gloss])
     reflected = np.concatenate([mask.ravel() for mask in look.reflected])
-    turns = (gloss != DIFFUSE) | reflected
-    share = float(turns.mean())
+    share, specular = (float((part | reflected).mean()) for part in (gloss != DIFFUSE, gloss == SPECULAR))
     degree = _DEGREE if share > _LEAST_GLOSS and not look.is_one_point else 0
-    evidence = {
-        "turning": share,
-        "is_one_point": look.is_one_point,
-        "specular": float(((gloss == SPECULAR) | reflected).mean()),
-        "least": _LEAST_GLOSS,
-    }
+    evidence = {"turning": share, "is_one_point": look.is_one_point}
+    evidence |= {"specular": specular, "least": _LEAST_GLOSS}
     gain = sh_count(MAX_DEGREE) / sh_count(degree)
     return Decision(DEGREE, degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
 
@@ -164,11 +140,9 @@ _NYQUIST = 0.5
 
 
 def layers_decision(display: Display, size: tuple[int, int]) -> Decision:
-    """Layers that any gaze on a frame draws, by the acuity models of single frames and of the window.
+    """Layers that any gaze draws on a frame of a width and height in pixels, shown on a display.
 
-    Args:
-        display: that the frame is shown on.
-        size: its width and height in pixels.
+    By the acuity models of single frames and of the window.
     """
     drawn = {model: _coarsest(display, size, model) for model in (DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL)}
     layers = FIXED_LAYERS - min(drawn.values()) + 1
@@ -214,25 +188,17 @@ def sample_decisions(look: Look) -> list[Decision]:
     frame denoised from both as in pathtrace.dataset.frame_error. Squared noise falls with the samples, which
     tells how many raw frames take to be as close to the truth.
     """
-    apart = [
-        srgb_from_radiance(one.radiance) - srgb_from_radiance(other.radiance) for one, other in look.halves
-    ]
-    raw = float(np.mean(np.square(apart))) / 2
+    pairs = [[srgb_from_radiance(half.radiance) for half in halves] for halves in look.halves]
+    raw = float(np.mean(np.square([one - other for one, other in pairs]))) / 2
     frames = zip(look.halves, look.denoised, strict=True)
     denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
     gain = max(raw / 2, _LEAST_ERROR) / max(denoised, _LEAST_ERROR)
-    kind = DENOISED if gain >= _LEAST_DENOISING_GAIN else RAW
-    evidence = {
-        "raw_spp": HALF_SPP,
-        "raw_db": _db(raw),
-        "denoised_spp": 2 * HALF_SPP,
-        "denoised_db": _db(denoised),
-    }
+    kind, gain = (DENOISED, gain) if gain >= _LEAST_DENOISING_GAIN else (RAW, 1.0)
+    evidence = {"raw_spp": HALF_SPP, "raw_db": _db(raw)}
+    evidence |= {"denoised_spp": 2 * HALF_SPP, "denoised_db": _db(denoised)}
     return [
         _samples(kind, _db(denoised if kind == DENOISED else raw / 2)),
-        Decision(
-            DENOISING, kind, RAW, evidence, gain if kind == DENOISED else 1.0, "samples for equal error"
-        ),
+        Decision(DENOISING, kind, RAW, evidence, gain, "samples for equal error"),
     ]
 
 
@@ -240,12 +206,8 @@ def _samples(kind: str, found_db: float) -> Decision:
     """As many samples as frames need that have some PSNR with 2 * HALF_SPP."""
     doublings = np.ceil((CONVERGED_DB - found_db) / _GAIN_DB[kind])
     samples = int(np.clip(2 * HALF_SPP * 2.0 ** np.clip(doublings, -8, 8), *_RANGE))
-    evidence = {
-        "spp": 2 * HALF_SPP,
-        "db": found_db,
-        "wanted_db": CONVERGED_DB,
-        "db_per_doubling": _GAIN_DB[kind],
-    }
+    evidence = {"spp": 2 * HALF_SPP, "db": found_db}
+    evidence |= {"wanted_db": CONVERGED_DB, "db_per_doubling": _GAIN_DB[kind]}
     return Decision(SAMPLES, samples, FIXED_SAMPLES, evidence, FIXED_SAMPLES / samples, "samples to trace")
 
 
@@ -257,12 +219,6 @@ REGION = "region"
 
 
 def region_decision(region: str, look: Look, breadth: float) -> Decision:
-    """Where viewers are; they decide, and frames and Gaussians follow.
-
-    Args:
-        region: as it was asked for.
-        look: at the scene from there.
-        breadth: how many times as many views as the default region the region takes.
-    """
+    """Where viewers are, in a region of some breadth (`breadth_of`); frames and Gaussians follow from it."""
     evidence = {"parallax": look.parallax, "is_one_point": look.is_one_point, "breadth": breadth}
     return Decision(REGION, region, NEAR, evidence, 1 / breadth, "views to train on")

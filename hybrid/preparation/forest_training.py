@@ -40,9 +40,7 @@ _PLANNED = {"gaussians": GAUSSIANS, "layers": LAYERS, "degree": DEGREE}
 def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
     """Settings of a training: as given, else as planned for the scene of the frames, else their defaults.
 
-    Args:
-        frames: to train on; None and third-party frames have no plan.
-        given: fields of TrainingSettings; None counts as not given.
+    None and third-party frames have no plan; a setting that is None counts as not given.
 
     Raises:
         UserError, ValueError: as in TrainingSettings.
@@ -103,12 +101,7 @@ _CHECKPOINT_SECONDS = 30.0
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What a training did not learn from, because it was not finite.
-
-    Attributes:
-        frames: number of training frames with NaN or infinite numbers.
-        steps: number of optimizer steps whose loss or gradient was not finite.
-    """
+    """How many frames and optimizer steps a training did not learn from, because they were not finite."""
 
     frames: int
     steps: int
@@ -127,9 +120,8 @@ def motion_of(courses: Sequence[Course]) -> NodeMotion | None:
     """The motion of the instances that have courses; None if nothing moves."""
     if not courses:
         return None
-    rotations, shifts = (
-        np.stack([getattr(course, name) for course in courses], axis=1) for name in ("rotations", "shifts")
-    )
+    rotations = np.stack([course.rotations for course in courses], axis=1)
+    shifts = np.stack([course.shifts for course in courses], axis=1)
     centres = np.stack([course.centre for course in courses])
     pieces = np.array(list(pieces_of(courses).values()), dtype=np.int64)
     return NodeMotion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
@@ -148,9 +140,9 @@ def train(
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
     Args:
-        frames: to train on; third-party ones have no estimates to fit a fusion to.
+        frames: third-party ones have no estimates to fit a fusion to.
         path: forest file to write; a checkpoint is kept beside it until training is complete.
-        settings: how to train; as planned for the frames' scene if None.
+        settings: as planned for the frames' scene if None.
         progress: called with steps done and steps in total.
         report: called in the end with what was not finite and therefore left out.
         start: whose finest layer to go on from.
@@ -178,25 +170,16 @@ def train(
     restore_checkpoint(trainer, checkpoint, frames)
     total = settings.iterations + fusion_steps(frames)
     _run(trainer, lambda: save_checkpoint(trainer, checkpoint, frames), lambda done: progress(done, total))
-    forest = forest_of(
-        trainer.forest(),
-        focal,
-        frames.scene_name,
-        frames.scene_hash,
-        trainer.place,
-        trainer.motion,
-        trainer.light,
-    )
+    scene = frames.scene_name, frames.scene_hash
+    forest = forest_of(trainer.forest(), focal, *scene, trainer.place, trainer.motion, trainer.light)
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
     check_forest(forest.layers)
     if precision is Precision.COMPACT:
         # Before the fusion, which is fitted to what will be drawn.
         forest = compact(forest)
-    forest = with_fusion(
-        frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
-    )
-    forest = attach_views(forest, cameras)
+    further = lambda done, _: progress(settings.iterations + done, total)  # noqa: E731
+    forest = attach_views(with_fusion(frames, forest, settings.seed, further), cameras)
     forest = attach_plan(forest, plan_with(frames, settings))
     save_forest(path, forest)
     report(LeftOut(trainer.dropped, trainer.skipped))

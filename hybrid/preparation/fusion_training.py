@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -23,7 +23,6 @@ from hybrid.render.disc_images import denoised_for_fusion
 from hybrid.render.forest_attachments import attach_fusion, fusion_of
 from pathtrace.dataset.captured_frames import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frame_set import FrameEntry, FrameSet
-from pathtrace.trace.traced_images import TracedImage
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
 
@@ -38,11 +37,8 @@ _MOST = 256
 def with_fusion(frames: Frames, forest: Forest, seed: int, progress: Callable[[int, int], None]) -> Forest:
     """The forest with a fusion fitted to it and tried on unseen views; unchanged without any example.
 
-    Args:
-        frames: their estimates are the examples, if they are large enough.
-        forest: trained on the same frame set.
-        seed: same seed, same fusion on the same machine.
-        progress: called with steps done and steps in total.
+    Estimates of the frame set that it was trained on are the examples, if they are large enough. `progress`
+    is called with steps done and steps in total.
     """
     examples = list(_examples(frames, forest, np.random.default_rng(seed)))
     if not examples:
@@ -64,25 +60,19 @@ def fusion_steps(frames: Frames) -> int:
 def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:
     """What a fused fovea shows, one row per denoiser, sample count and enlargement; empty without a fusion.
 
-    Returns:
-        Rows of quick (whether the quicker denoiser is used), spp, enlargement, the shares of network,
-        denoised and splat, and gain_db over the better of the last two on unseen views; 0 where that one
-        alone is shown, because the network did not prove to be better.
+    Rows have quick (whether the quicker denoiser is used), spp, enlargement, the shares of network, denoised
+    and splat, and gain_db over the better of the last two on unseen views; 0 where that one alone is shown,
+    because the network did not prove to be better.
     """
     fusion = fusion_of(forest)
     if fusion is None:
         return []
-    cells = product(enumerate((False, True)), enumerate(COUNTS), enumerate(ENLARGEMENTS))
-    return [
-        {
-            "quick": quick,
-            "spp": spp,
-            "enlargement": enlargement,
-            **dict(zip(MIXED, fusion.shares[i, j, k].tolist(), strict=True)),
-            "gain_db": float(fusion.gains[i, j, k]),
-        }
-        for (i, quick), (j, spp), (k, enlargement) in cells
-    ]
+    cells, rows = product((False, True), COUNTS, ENLARGEMENTS), []
+    shares, gains = fusion.shares.flatten(0, 2).tolist(), fusion.gains.flatten().tolist()
+    for cell, mixed, gain in zip(cells, shares, gains, strict=True):
+        row = dict(zip(("quick", "spp", "enlargement", *MIXED), (*cell, *mixed), strict=True))
+        rows.append({**row, "gain_db": gain})
+    return rows
 
 
 def _usable(frames: Frames) -> list[tuple[int, FrameEntry]]:
@@ -93,10 +83,9 @@ def _usable(frames: Frames) -> list[tuple[int, FrameEntry]]:
     """
     if not isinstance(frames, FrameSet):
         return []
-    entries = [entry for entry in frames.held_out + frames.close_ups if entry.halves]
     numbers: dict[bytes, int] = {}
     found = []
-    for entry in entries:
+    for entry in (entry for entry in frames.held_out + frames.close_ups if entry.halves):
         number = numbers.setdefault(entry.camera.camera_to_world.tobytes(), len(numbers))
         if min(entry.camera.width, entry.camera.height) >= LEAST_SIZE:
             found.append((number, entry))
@@ -118,16 +107,17 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
         renderer.set_time(entry.time)
         splat = np.array(renderer.render_layer(entry.camera, finest).numpy())
         enlargement = entry.camera.fy / forest.focal_of(finest)
-        estimates = {spp: read_estimate(file, entry.size) for spp, file in entry.estimates.items()}
-        traced = [
-            _Estimate.of(found, spp)
-            for spp, found in estimates.items()
-            if _is_finite(found.radiance, found.albedo, found.normal)
-        ]
+        traced = []
+        for spp, file in entry.estimates.items():
+            found = read_estimate(file, entry.size)
+            count = np.full((*found.radiance.shape[:2], 1), spp, dtype=np.float32)
+            images = found.radiance, found.albedo, found.normal
+            if _is_finite(*images):
+                traced.append(_Estimate(*images, count))
         if len(traced) > 1:
             traced += [_mixed(traced, rng) for _ in range(_MIXED)]
-        for images, quick in product(traced, (False, True)):
-            parents = _parents(images, splat, enlargement, quick)
+        for estimate, quick in product(traced, (False, True)):
+            parents = _parents(estimate, splat, enlargement, quick)
             yield _part(Example(parents, reference, number), rng)
 
 
@@ -135,37 +125,27 @@ def _is_finite(*images: Image) -> bool:
     return all(np.isfinite(image).all() for image in images)
 
 
-@dataclass(frozen=True)
-class _Estimate:
+class _Estimate(NamedTuple):
     """A path-traced estimate of a view, (H, W, 3) each, and its samples per pixel (H, W, 1)."""
 
     radiance: Image
     albedo: Image
     normal: Image
-    count: Image
-
-    @staticmethod
-    def of(estimate: TracedImage, spp: int) -> _Estimate:
-        """One with `spp` samples in every pixel."""
-        count = np.full((*estimate.radiance.shape[:2], 1), spp, dtype=np.float32)
-        return _Estimate(estimate.radiance, estimate.albedo, estimate.normal, count)
+    samples: Image
 
 
-def _parents(images: _Estimate, splat: Image, enlargement: float, quick: bool) -> Parents:
-    tensors = [mi.TensorXf(image) for image in (images.radiance, images.albedo, images.normal)]
-    denoised = np.array(denoised_for_fusion(tensors, quick))
+def _parents(estimate: _Estimate, splat: Image, enlargement: float, quick: bool) -> Parents:
+    denoised = np.array(denoised_for_fusion([mi.TensorXf(image) for image in estimate[:3]], quick))
     unknown = np.full_like(denoised, np.inf)
-    auxiliary = images.albedo, images.normal, images.count
-    return Parents(images.radiance, unknown, denoised, splat, *auxiliary, enlargement, quick)
+    return Parents(estimate.radiance, unknown, denoised, splat, *estimate[1:], enlargement, quick)
 
 
 def _mixed(traced: list[_Estimate], rng: np.random.Generator) -> _Estimate:
     """Two estimates in random patches, as a short history and adaptive sampling leave them."""
     one, other = (traced[index] for index in rng.choice(len(traced), 2, replace=False))
-    noise = gaussian_filter(rng.normal(size=one.count.shape[:2]), rng.uniform(*_PATCHES))
+    noise = gaussian_filter(rng.normal(size=one.samples.shape[:2]), rng.uniform(*_PATCHES))
     first = (noise > np.quantile(noise, rng.uniform(0.2, 0.8)))[..., None]
-    mixed = (np.where(first, getattr(one, f.name), getattr(other, f.name)) for f in fields(_Estimate))
-    return _Estimate(*mixed)
+    return _Estimate(*(np.where(first, a, b) for a, b in zip(one, other, strict=True)))
 
 
 def _part(example: Example, rng: np.random.Generator) -> Example:

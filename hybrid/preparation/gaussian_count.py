@@ -44,12 +44,7 @@ _ROUNDED = 100
 
 
 def gaussians_decision(look: Look, breadth: float) -> Decision:
-    """The number of Gaussians of the finest layer.
-
-    Args:
-        look: at the scene; its larger frames tell how much of them shows detail.
-        breadth: how many times as many views as the default region the region takes.
-    """
+    """The number of Gaussians of the finest layer, for a region of some breadth (`breadth_of`)."""
     complexity = complexity_of(look.denoised)
     needs = Needs.of(breadth, complexity)
     count = round(FIXED_GAUSSIANS * needs.gaussians / _ROUNDED) * _ROUNDED
@@ -60,10 +55,7 @@ def gaussians_decision(look: Look, breadth: float) -> Decision:
 def planned_needs(plan: Mapping[str, Value], region: str, breadth: float) -> Needs:
     """What a region takes, as planned for it or for the default one; as `room` does if neither is planned.
 
-    Args:
-        plan: values by name; may be empty.
-        region: as it was asked for.
-        breadth: how many times as many views as the default region it takes.
+    The plan, values by name, may be empty; `region` is as it was asked for, `breadth` that of `breadth_of`.
     """
     if GAUSSIANS not in plan or plan[REGION] not in (region, NEAR):
         return Needs(breadth)

@@ -24,10 +24,7 @@ def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
     """Mean PSNR and SSIM of each layer alone over the held-out views, coarsest first.
 
     Layer l is compared with frames that are reduced to its resolution. Frames with numbers that are not
-    finite are left out.
-
-    Returns:
-        Per layer: layer (1 to L), nodes and, if there are held-out views, psnr in dB and ssim.
+    finite are left out. Rows have layer (1 to L), nodes and, with held-out views, psnr in dB and ssim.
     """
     renderer = ForestRenderer(device_arrays(), forest)
     views = _views(frames)
@@ -38,9 +35,13 @@ def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
         for view in (reduced(view, factor) for view in views):
             renderer.set_time(view.time)
             found.append(quality(renderer.render_layer(view.camera, number).numpy(), view.radiance))
-        means = {name: float(np.mean([row[name] for row in found])) for name in found[0]} if found else {}
-        rows.append({"layer": number, "nodes": count, **means})
+        rows.append({"layer": number, "nodes": count, **_means(found)})
     return rows
+
+
+def _means(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Means by name over rows; empty if there are none."""
+    return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]} if rows else {}
 
 
 def _views(frames: Frames) -> list[TrainingView]:
@@ -63,14 +64,7 @@ class Judges:
     """Frames of views that nothing is trained on; rendered once, and kept in a folder.
 
     They are traced as the training frames are, which may be biased by up to a percent: their error is that of
-    the Gaussians against what these could learn.
-
-    Args:
-        folder: for their files.
-        tracer: traces the scene.
-        cameras: the views.
-        times: that they show.
-        progress: called with frames done and frames in total.
+    the Gaussians against what these could learn. `progress` is called with frames done and frames in total.
 
     Raises:
         UserError: a file cannot be written.
@@ -101,7 +95,4 @@ class Judges:
             truth = read_frame(file, (camera.width, camera.height)).radiance
             if np.isfinite(truth).all():
                 found.append(quality(renderer.render_layer(camera, len(forest.counts)).numpy(), truth))
-        if not found:
-            return {}
-        mean = {name: float(np.mean([row[name] for row in found])) for name in ("psnr", "ssim")}
-        return {**mean, "least_psnr": min(row["psnr"] for row in found)}
+        return _means(found) | ({"least_psnr": min(row["psnr"] for row in found)} if found else {})

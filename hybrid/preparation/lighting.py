@@ -48,15 +48,10 @@ _LIFT = 0.01
 def light_over_time(
     scene: Scene, cache: IrradianceCache, frames: FrameSet, gaussians: int, seed: int, bars: Bars
 ) -> SurfaceLight | None:
-    """Light at points that the training frames of a scene show; None if they show no surface.
+    """Light at points that the training frames of a moving scene show; None if they show no surface.
 
-    Args:
-        scene: one that moves; afterwards it shows its last time.
-        cache: of its irradiance at time 0.
-        frames: of the scene.
-        gaussians: number in the finest layer, which the number of points follows.
-        seed: same seed, same light on the same machine.
-        bars: show the progress.
+    The scene shows its last time afterwards. `cache` is of its irradiance at time 0; the number of points
+    follows that of the Gaussians in the finest layer.
     """
     motion = motion_of(frames.courses)
     entries = frames.training[:: -(-len(frames.training) // _VIEWS)]
@@ -72,13 +67,9 @@ def light_over_time(
     with bars("light over time") as bar:
         irradiance = irradiance_over_time(scene, cache, at, moving, times, seed, bar)
     factors = _of_usual(irradiance)
-    return SurfaceLight(
-        seeds.means,
-        _normals(seeds),
-        instance,
-        torch.from_numpy(factors.astype(np.float16)),
-        torch.from_numpy(np.ptp(factors, axis=0).mean(axis=0) > _LEAST_CHANGE),
-    )
+    changes = np.ptp(factors, axis=0).mean(axis=0) > _LEAST_CHANGE
+    kept = (torch.from_numpy(part) for part in (factors.astype(np.float16), changes))
+    return SurfaceLight(seeds.means, _normals(seeds), instance, *kept)
 
 
 def _seeds(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,15 +60,10 @@ _JUDGED_BIAS = 6
 
 @dataclass(frozen=True)
 class Prepared:
-    """A forest, with what its preparation took.
-
-    Attributes:
-        forest: the forest.
-        facts: what `hybrid prepare --json` writes.
-    """
+    """A forest, with what its preparation took."""
 
     forest: Forest
-    facts: dict[str, Any]
+    facts: dict[str, Any]  # what `hybrid prepare --json` writes
 
 
 def prepare(
@@ -81,9 +76,7 @@ def prepare(
     """Prepares a scene; the forest becomes its newest one after every stage. Resumes if interrupted.
 
     Args:
-        scene: what to prepare.
         settings: how far to go, and which views validate it; the defaults of PreparationSettings if None.
-        bars: show the progress of each part.
         folder: for everything that is written; a folder of the scene's in the cache by default.
         started: time.perf_counter() from which the time counts; now if None.
 
@@ -113,38 +106,33 @@ def prepare(
         clock.keep()
 
 
+@dataclass
 class _Job:
     """A preparation under way; what is done is in its folder and its journal."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        region: ViewingRegion,
-        settings: PreparationSettings,
-        bars: Bars,
-        folder: Path,
-        planner: Planner,
-    ):
-        self._scene, self._region, self._settings = scene, region, settings
-        self._bars, self._folder, self._planner = bars, folder, planner
-        self._journal, self._clock = planner.journal, planner.clock
-        self._passes: list[Pass] = []
-        self._curve: list[dict[str, Any]] = []
+    scene: Scene
+    region: ViewingRegion
+    settings: PreparationSettings
+    bars: Bars
+    folder: Path
+    planner: Planner
+    passes: list[Pass] = field(default_factory=list)
+    curve: list[dict[str, Any]] = field(default_factory=list)
 
     def run(self) -> Prepared:
         """Does what is left to do."""
-        cache, most = cache_for(self._scene, self._bars), self._settings.most_indirect
-        tracer = Tracer(self._scene, cache=cache)
+        cache, most = cache_for(self.scene, self.bars), self.settings.most_indirect
+        tracer = Tracer(self.scene, cache=cache)
         # Of the training frames.
-        bounded = tracer if most is None else Tracer(self._scene, cache=cache, most_indirect=most)
-        frames = GrowingFrames(self._folder / "frames", bounded, Integrator.CACHED.value, self._settings.seed)
+        bounded = tracer if most is None else Tracer(self.scene, cache=cache, most_indirect=most)
+        frames = GrowingFrames(self.folder / "frames", bounded, Integrator.CACHED.value, self.settings.seed)
         judges, forest = self._judges(tracer), None
-        while self._planner.begin(self._curve):
+        while self.planner.begin(self.curve):
             forest = self._staged(frames, forest)
             self._judge(judges, forest)
         assert forest is not None
         forest = self._with_fusion(forest)
-        store_forest(forest, self._folder.name)
+        store_forest(forest, self.folder.name)
         facts = self._facts(forest, frames)
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
         self._say_converging(facts)
@@ -155,140 +143,126 @@ class _Job:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""
         if bounded is tracer:
             return None
-        with self._clock.stopped():
-            cameras = self._region.views(_JUDGED_BIAS, *self._settings.size, self._settings.seed)
-            share = clamping_bias(bounded, tracer, cameras, self._settings.seed)
+        with self.planner.clock.stopped():
+            cameras = self.region.views(_JUDGED_BIAS, *self.settings.size, self.settings.seed)
+            share = clamping_bias(bounded, tracer, cameras, self.settings.seed)
         _LOG.info("bounding indirect light removed %.2g %% of the radiance", 100 * share)
         return share
 
     def _judges(self, tracer: Tracer) -> Judges:
         """The held-out views; their time does not count."""
-        count, size, seed = self._settings.held_out, self._settings.size, self._settings.seed
-        with self._clock.stopped(), self._bars("held-out views") as bar:
-            cameras = self._region.unseen_views(count, *size, seed) if count else []
-            times = [view_time(self._scene, number + 0.5) for number in range(count)]
-            return Judges(self._folder / "held-out", tracer, cameras, times, bar)
+        count, size, seed = self.settings.held_out, self.settings.size, self.settings.seed
+        with self.planner.clock.stopped(), self.bars("held-out views") as bar:
+            cameras = self.region.unseen_views(count, *size, seed) if count else []
+            times = [view_time(self.scene, number + 0.5) for number in range(count)]
+            return Judges(self.folder / "held-out", tracer, cameras, times, bar)
 
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:
         """The forest after a stage; trained now, unless it is in the folder."""
-        number = self._planner.number
-        path = self._folder / f"stage-{number}.safetensors"
-        if self._planner.is_finished and path.is_file():
-            self._passes.append(Pass(**self._journal[f"pass {number}"]))
+        number = self.planner.number
+        path = self.folder / f"stage-{number}.safetensors"
+        if self.planner.is_finished and path.is_file():
+            self.passes.append(Pass(**self.planner.journal[f"pass {number}"]))
             return load_forest(path)
-        stages = self._planner.stages
-        views = stage_views(self._region, stages, self._settings.seed)
-        with self._bars(f"stage {number + 1}: frames (samples)") as bar:
+        stages = self.planner.stages
+        views = stage_views(self.region, stages, self.settings.seed)
+        with self.bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
-        seconds = self._planner.lap("frame")
+        seconds = self.planner.lap("frame") + (self.passes[-1].seconds if self.passes else 0.0)
         found = read_frame_set(frames.folder)
-        light = self._light(found, stages[-1].gaussians)
-        self._planner.lap("light")
-        traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
-        self._passes.append(Pass(**traced))
+        light = None
+        if self.scene.moving is not None:
+            cache, seed = cache_for(self.scene), self.settings.seed
+            light = light_over_time(self.scene, cache, found, stages[-1].gaussians, seed, self.bars)
+        self.planner.lap("light")
+        brought = lambda: Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)  # noqa: E731
+        self.passes.append(Pass(**self.planner.journal.once(f"pass {number}", lambda: asdict(brought()))))
         forest = self._trained(found, light, path, before)
         if number:
-            store_forest(forest, self._folder.name)
+            store_forest(forest, self.folder.name)
         return forest
-
-    def _pass(self, frames: GrowingFrames, seconds: float) -> Pass:
-        """What the last pass over the frames has brought, which took some seconds."""
-        before = self._passes[-1].seconds if self._passes else 0.0
-        return Pass(float(np.mean(frames.samples)), stated_error(frames), before + seconds)
 
     def _trained(
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None
     ) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
-        stage, number = self._planner.stages[-1], self._planner.number
+        stage, number = self.planner.stages[-1], self.planner.number
         # More layers than the display tells apart are none that a frame draws.
         layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
-        seed = self._settings.seed + number
+        seed = self.settings.seed + number
         settings = planned_settings(
-            frames, iterations=self._planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
+            frames, iterations=self.planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
         )
-        with self._bars(f"stage {number + 1}: forest (steps)") as bar:
+        with self.bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(frames, path, settings, bar, start=before, light=light)
-        self._planner.lap("training")
+        self.planner.lap("training")
         return forest
-
-    def _light(self, frames: FrameSet, gaussians: int) -> SurfaceLight | None:
-        """How light on surfaces changes over time; None in a scene that stands still."""
-        if self._scene.moving is None:
-            return None
-        cache, seed = cache_for(self._scene), self._settings.seed
-        return light_over_time(self._scene, cache, frames, gaussians, seed, self._bars)
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
         """Adds a row to the curve."""
-        number = self._planner.number
+        number = self.planner.number
 
         def row() -> dict[str, Any]:
-            seconds = self._clock.seconds()
-            with self._clock.stopped():
+            seconds = self.planner.clock.seconds()
+            with self.planner.clock.stopped():
                 found = judges.quality(forest)
             return {"seconds": seconds, **found, "gaussians": len(forest.finest)}
 
-        self._curve.append(self._journal.once(f"quality {number}", row))
-        shown = self._curve[-1]
-        quality = ""
-        if "psnr" in shown:
-            psnr, least, ssim = (shown[name] for name in ("psnr", "least_psnr", "ssim"))
-            quality = f", held-out views {psnr:.2f} dB, least {least:.2f} dB, SSIM {ssim:.4f}"
-        views = sum(stage.views for stage in self._planner.stages)
+        self.curve.append(self.planner.journal.once(f"quality {number}", row))
+        shown = self.curve[-1]
+        text = ", held-out views {psnr:.2f} dB, least {least_psnr:.2f} dB, SSIM {ssim:.4f}"
+        quality = text.format_map(shown) if "psnr" in shown else ""
+        views = sum(stage.views for stage in self.planner.stages)
         _LOG.info(f"{shown['seconds']:.0f} s: {views} views, {shown['gaussians']:,} Gaussians{quality}")
 
     def _with_fusion(self, forest: Forest) -> Forest:
         """The forest with a fusion fitted to it, of which single frames make use."""
-        path = self._folder / "forest.safetensors"
+        path = self.folder / "forest.safetensors"
         if path.is_file():
             return load_forest(path)
-        if self._planner.fits_fusion:
-            cache = cache_for(self._scene)
-            with self._bars("fusion: frames (samples)") as bar:
-                examples = capture(self._scene, self._folder / "fusion", self._examples(), bar, cache)
-            with self._bars("fusion (steps)") as bar:
-                forest = with_fusion(examples, forest, self._settings.seed, bar)
+        if self.planner.fits_fusion:
+            cache, seed = cache_for(self.scene), self.settings.seed
+            close_ups = _CLOSE_UPS[self.planner.stages[-1].scale]
+            settings = replace(FUSION_CAPTURE, close_ups=close_ups, seed=seed)
+            with self.bars("fusion: frames (samples)") as bar:
+                examples = capture(self.scene, self.folder / "fusion", settings, bar, cache)
+            with self.bars("fusion (steps)") as bar:
+                forest = with_fusion(examples, forest, seed, bar)
         save_forest(path, forest)
         return forest
 
-    def _examples(self) -> CaptureSettings:
-        """What the fusion is fitted to."""
-        close_ups = _CLOSE_UPS[self._planner.stages[-1].scale]
-        return replace(FUSION_CAPTURE, close_ups=close_ups, seed=self._settings.seed)
-
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
-        samples, last = frames.samples, self._curve[-1]
+        samples, last = frames.samples, self.curve[-1]
         return {
-            "scene": self._scene.name,
-            "region": self._region.name,
-            "seconds": self._journal.once("total", self._clock.seconds),
+            "scene": self.scene.name,
+            "region": self.region.name,
+            "seconds": self.planner.journal.once("total", self.planner.clock.seconds),
             "gaussians": len(forest.finest),
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
-            "frame_error_db": self._passes[-1].error_db,
-            "converging_seconds": converging_seconds(self._passes),
+            "frame_error_db": self.passes[-1].error_db,
+            "converging_seconds": converging_seconds(self.passes),
             "splat": {name: last[name] for name in ("psnr", "ssim", "least_psnr") if name in last},
-            "curve": self._curve,
-            "forest": str(self._folder / "forest.safetensors"),
+            "curve": self.curve,
+            "forest": str(self.folder / "forest.safetensors"),
         }
 
     def _say_converging(self, facts: dict[str, Any]) -> None:
         """Names frames that are noisier than a forest is likely to be wrong, and what would help."""
         if facts["converging_seconds"] is not None:
-            last = self._passes[-1]
+            last = self.passes[-1]
             _LOG.warning(
-                f"{self._scene.name}: light converges slowly; frames have {last.error_db:.1f} dB after "
+                f"{self.scene.name}: light converges slowly; frames have {last.error_db:.1f} dB after "
                 f"{last.seconds:.0f} s of tracing, {CONVERGED_DB:g} dB would take about "
                 f"{facts['converging_seconds']:.0f} s"
             )
 
     def _require_target(self, facts: dict[str, Any]) -> None:
         """UserError if a target was not reached; the forest is kept."""
-        wanted, found = self._settings.psnr, facts["splat"].get("psnr")
+        wanted, found = self.settings.psnr, facts["splat"].get("psnr")
         if wanted is not None and found < wanted:
             raise UserError(
-                f"{self._scene.name}: {wanted:g} dB cannot be reached; {found:.2f} dB are, in "
+                f"{self.scene.name}: {wanted:g} dB cannot be reached; {found:.2f} dB are, in "
                 f"{facts['seconds']:.0f} s, from frames of {facts['frame_error_db']:.1f} dB; it is kept"
             )
 
@@ -314,11 +288,6 @@ def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple
 
     With a forest at hand, nothing is planned: a scene without a plan has the paths of the forest's plan.
 
-    Args:
-        scene: what the forest is for.
-        given: forest file, if the user named one.
-        bars: show the progress of planning and preparing.
-
     Raises:
         UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
@@ -334,16 +303,9 @@ def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple
 
 
 def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = no_bars) -> tuple[Forest, FrameSet]:
-    """Prepares a forest with the quick settings; resumes if interrupted.
+    """Prepares a forest in a folder, with the quick settings; resumes if interrupted.
 
-    Args:
-        scene: what to prepare.
-        folder: for all of its files.
-        seed: same seed, same forest on the same machine.
-        bars: show the progress.
-
-    Returns:
-        The forest, and the frames that its fusion was fitted to, with held-out views that judge its layers.
+    Also returns the frames that its fusion was fitted to, with held-out views that judge its layers.
     """
     settings = PreparationSettings(quality=_QUALITY, held_out=0, seed=seed)
     folder = folder / f"prepared-{seed}"

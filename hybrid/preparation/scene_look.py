@@ -29,28 +29,15 @@ _ONE_POINT = 0.002
 
 @dataclass(frozen=True)
 class Look:
-    """What V views of a scene show, at times spread over those of one that moves.
-
-    Attributes:
-        views: cameras and times.
-        radiance: V of (H, W, 3), noisy.
-        gloss: V of (H, W), class of gloss of what each pixel shows (compose.base.traced_samples).
-        reflected: V of (H, W) bool, where a flat mirror or a pane shows something else.
-        halves: of some views, larger: two independent halves of HALF_SPP samples per pixel each.
-        parallax: largest distance between two views, over the median distance to what they see.
-    """
+    """What V views of a scene show, at times spread over those of one that moves."""
 
     views: list[View]
-    radiance: list[Image]
-    gloss: list[NDArray[np.int64]]
-    reflected: list[NDArray[np.bool_]]
+    radiance: list[Image]  # V of (H, W, 3), noisy
+    gloss: list[NDArray[np.int64]]  # V of (H, W), class of gloss of each pixel (compose.base.traced_samples)
+    reflected: list[NDArray[np.bool_]]  # V of (H, W), where a flat mirror or a pane shows something else
+    # Of some views, larger: two independent halves of HALF_SPP samples per pixel each.
     halves: list[tuple[TracedImage, TracedImage]]
-    parallax: float
-
-    @property
-    def cameras(self) -> list[Camera]:
-        """Of the views."""
-        return [view.camera for view in self.views]
+    parallax: float  # largest distance between two views, over the median distance to what they see
 
     @cached_property
     def denoised(self) -> list[Image]:
@@ -64,13 +51,7 @@ class Look:
 
 
 def look_at_scene(scene: Scene, surfaces: Surfaces, region: ViewingRegion, seed: int) -> Look:
-    """Looks at a scene; afterwards, one that moves shows its first time.
-
-    Args:
-        scene: the scene.
-        surfaces: its surfaces.
-        region: where viewers may be.
-        seed: of the views and their samples.
+    """Looks at a scene and its surfaces from a region; afterwards, one that moves shows its first time.
 
     Raises:
         UserError: there is no free space in the region.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,34 +52,16 @@ _PARTS = 3
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene requires of the renderers.
-
-    Attributes:
-        scene_name, scene_hash: the scene, at its own path depth.
-        decisions: one per part.
-        look: that they follow from; None if it was stored.
-    """
+    """What a scene requires of the renderers."""
 
     scene_name: str
-    scene_hash: str
-    decisions: tuple[Decision, ...]
-    look: Look | None = None
+    scene_hash: str  # at its own path depth
+    decisions: tuple[Decision, ...]  # one per part
+    look: Look | None = None  # that they follow from; None if it was stored
 
     def decision(self, name: str) -> Decision:
-        """What is decided for a part, and why.
-
-        Raises:
-            KeyError: there is no such part.
-        """
+        """What is decided for a part, and why; KeyError if there is no such part."""
         return {decision.name: decision for decision in self.decisions}[name]
-
-    def value(self, name: str) -> Any:
-        """What is decided for a part.
-
-        Raises:
-            KeyError: there is no such part.
-        """
-        return self.decision(name).value
 
     def values(self) -> dict[str, Value]:
         """What is decided, by name."""
@@ -87,7 +69,7 @@ class ScenePlan:
 
     def rows(self) -> list[dict[str, Any]]:
         """As `hybrid plan --json` writes them."""
-        return [decision.row() for decision in self.decisions]
+        return [asdict(decision) for decision in self.decisions]
 
 
 def plan_of(
@@ -98,12 +80,10 @@ def plan_of(
     seed: int = 0,
     progress: Callable[[int, int], None] = no_progress,
 ) -> ScenePlan:
-    """Looks at a scene and decides what it requires.
+    """Looks at a scene and decides what it requires; afterwards, one that moves shows its first time.
 
     Args:
-        scene: the scene; afterwards, one that moves shows its first time.
-        display: that frames are shown on.
-        size: width and height of these frames in pixels.
+        display, size: what frames are shown on, and their width and height in pixels.
         region: where viewers may be (pathtrace.region).
         seed: same seed, same plan on the same machine.
         progress: called with parts done and their number.
@@ -121,7 +101,7 @@ def plan_of(
     decisions = (
         _motion_decision(scene),
         region_decision(region, look, breadth),
-        *path_decisions(scene, look.cameras, seed),
+        *path_decisions(scene, [view.camera for view in look.views], seed),
         degree_decision(look),
         frame_precision_decision(look),
         layers_decision(display, size),
@@ -135,10 +115,9 @@ def plan_of(
 
 def _motion_decision(scene: Scene) -> Decision:
     """Whether there are dynamic trees, courses of motion and light, and frames of many times."""
-    moving = scene.moving
-    shapes = 0 if moving is None else len(moving.shapes)
-    triangles = 0 if moving is None else sum(int(shape.face_count()) for shape in moving.shapes)
-    evidence = {"shapes": shapes, "triangles": triangles}
+    shapes = [] if scene.moving is None else scene.moving.shapes
+    triangles = sum(int(shape.face_count()) for shape in shapes)
+    evidence = {"shapes": len(shapes), "triangles": triangles}
     return Decision(MOTION, motion_of(scene), MOVING, evidence, 1.0, "times")
 
 
@@ -156,12 +135,7 @@ def _light_decision(scene: Scene) -> Decision:
 
 
 def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:
-    """Checks that a plan does not contradict the scene that it is used with.
-
-    Args:
-        values: what it decides, by name.
-        scene: the scene.
-        source: where the plan comes from, for the message.
+    """Checks that a plan's values do not contradict the scene it is used with; the message names its source.
 
     Raises:
         UserError: something moves in a scene planned as still, or the other way round.
@@ -182,10 +156,7 @@ def scene_as_stored(
     thin_glass: bool = False,
     motion: Path | None = None,
 ) -> Scene:
-    """Loads a scene as its stored plan has it; as its file has it if there is none.
-
-    Args:
-        source, max_depth, thin_glass, motion: as in `load_scene`; a depth that is given stays.
+    """Loads a scene like `load_scene`, and as its stored plan has it if there is one; a given depth stays.
 
     Raises:
         UserError: as in `load_scene`, or the stored plan contradicts the scene.
@@ -208,11 +179,8 @@ def planned_scene(
 def as_planned(scene: Scene, bars: Bars = no_bars) -> Scene:
     """A scene as its plan has it; a plan is made and stored if there is none, which takes seconds to minutes.
 
-    A scene that cannot be looked at, because its camera sees no surface or stands in one, stays as it is.
-
-    Args:
-        scene: the scene; as it is if it has a plan.
-        bars: show the progress of planning.
+    A scene that has a plan already, or that cannot be looked at because its camera sees no surface or stands
+    in one, stays as it is.
 
     Raises:
         UserError: the cache folder cannot be written, or the stored plan contradicts the scene.
@@ -245,8 +213,7 @@ def store_plan(plan: ScenePlan) -> None:
     Raises:
         UserError: the cache folder cannot be written.
     """
-    content = {"version": _VERSION, "scene": plan.scene_hash, "decisions": plan.rows()}
-    text = json_text(content)
+    text = json_text({"version": _VERSION, "scene": plan.scene_hash, "decisions": plan.rows()})
     write_whole(_file(plan.scene_name, plan.scene_hash), lambda part: part.write_text(text))
 
 
@@ -316,12 +283,10 @@ def _value(name: str, value: str) -> Value:
 
 def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:
     """A plan with some decisions taken by the user; those have no gain that anybody knows."""
-    decisions = [
-        _by_user(decision, values[decision.name]) if decision.name in values else decision
-        for decision in plan.decisions
-    ]
+    decisions = []
+    for one in plan.decisions:
+        if one.name in values:
+            evidence = {"planned": one.value, **one.evidence}
+            one = replace(one, value=values[one.name], evidence=evidence, gain=1.0)
+        decisions.append(one)
     return replace(plan, decisions=tuple(decisions))
-
-
-def _by_user(decision: Decision, value: Value) -> Decision:
-    return replace(decision, value=value, evidence={"planned": decision.value, **decision.evidence}, gain=1.0)

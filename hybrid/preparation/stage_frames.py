@@ -55,13 +55,9 @@ def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
 def wanted_of(
     frames: GrowingFrames, views: list[tuple[Camera, int]], stage: Stage, forest: Forest | None
 ) -> list[Wanted]:
-    """The samples that views get in a stage: more only where their error matters beside the forest's.
+    """The samples that all views, given with their scales, get in a stage.
 
-    Args:
-        frames: as they are.
-        views: all views, with their scales.
-        stage: the stage.
-        forest: as it is; None if there is none yet.
+    More than they had only where their error matters beside that of the forest, if there is one yet.
     """
     had = frames.samples
     aimed = [stage.spp_at(scale) for _, scale in views]
@@ -116,17 +112,11 @@ _LEAST_GAIN, _MOST_GAIN = 0.5, 3.0
 
 @dataclass(frozen=True)
 class Pass:
-    """What a pass over the frames has brought.
+    """What a pass over the frames has brought."""
 
-    Attributes:
-        samples: per pixel, mean over all frames so far.
-        error_db: PSNR of the frames, as they state it.
-        seconds: of tracing, over all passes so far.
-    """
-
-    samples: float
-    error_db: float
-    seconds: float
+    samples: float  # per pixel, mean over all frames so far
+    error_db: float  # PSNR of the frames, as they state it
+    seconds: float  # of tracing, over all passes so far
 
 
 def converging_seconds(passes: Sequence[Pass]) -> float | None:
@@ -151,13 +141,8 @@ _CLAMPED_SIDE, _CLAMPED_SPP = 64, 64
 def clamping_bias(bounded: Tracer, unbounded: Tracer, cameras: Sequence[Camera], seed: int) -> float:
     """Share of the mean radiance that a bound on indirect light removes, 0 to 1, over some views.
 
-    Both trace the same paths, so that the difference is the bound's alone; rare bright paths make it vary
-    with the seed all the same.
-
-    Args:
-        bounded, unbounded: tracers of one scene with and without the bound.
-        cameras: the views.
-        seed: same seed, same result.
+    Both tracers trace the same paths, so that the difference is the bound's alone; rare bright paths make it
+    vary with the seed all the same.
     """
     total = [0.0, 0.0]
     for number, camera in enumerate(cameras):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 from hybrid.base.journal import Journal
@@ -50,13 +50,7 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
 
 
 def affordable_steps(stage: Stage, before: Sequence[Stage], seconds: float, pace: Seconds) -> int:
-    """Steps that fit in a time, at most those of the stage; at least a tenth of them.
-
-    Args:
-        stage: whose frames are there.
-        before, pace: the stages before, and theirs.
-        seconds: the time.
-    """
+    """Steps of a stage, whose frames are there, that fit in a time at some pace; at least a tenth of them."""
     steps = int((seconds / pace.training - _prepared(stage, before)) / step_seconds(stage))
     return max(min(stage.steps, steps), -int(-stage.steps * _LEAST_STEPS // 1))
 
@@ -72,13 +66,7 @@ def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float
     """The stage to do next; None if there is no time for one.
 
     It is stretched over the time that would be left without use: a stage that has too little time is worse
-    than none, since each begins with large steps again.
-
-    Args:
-        before: the stages done.
-        needs: of the region and the scene.
-        pace: of the stages done.
-        left: seconds; None if they do not matter.
+    than none, since each begins with large steps again. `left` is in seconds; None if time does not matter.
     """
     stage = planned_stage(len(before), needs)
     if left is None or not before:
@@ -113,12 +101,7 @@ _KEY = "seconds"
 
 
 class JobClock:
-    """Counts the seconds of a job.
-
-    Args:
-        journal: of the job; has the seconds of earlier runs.
-        start: time.perf_counter() at which this run began.
-    """
+    """Counts the seconds of a job, including earlier runs; this one began at time.perf_counter() `start`."""
 
     def __init__(self, journal: Journal, start: float):
         self._journal, self._since = journal, start
@@ -157,27 +140,15 @@ PARTS = "frame", "light", "training"
 
 
 class Planner:
-    """Decides what to do next; what it has decided once is in the journal, and stays.
-
-    Args:
-        settings: what was asked for.
-        journal, clock: of the job.
-        needs: of the region and the scene.
-
-    Attributes:
-        stages: those begun.
-    """
+    """Decides what to do next; what it has decided once is in the journal, and stays."""
 
     def __init__(self, settings: PreparationSettings, journal: Journal, clock: JobClock, needs: Needs):
         self._settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
+        # Those begun.
         self.stages: list[Stage] = []
 
     def begin(self, curve: list[dict[str, Any]]) -> bool:
-        """Begins the next stage, unless the last one was enough.
-
-        Args:
-            curve: held-out quality after each stage so far: rows with `psnr`, if there are held-out views.
-        """
+        """Begins the next stage, unless the last one was enough by the curve of held-out quality so far."""
         number = len(self.stages)
         planned = self.journal.once(f"stage {number}", lambda: self._planned(number, curve))
         if planned:
@@ -198,10 +169,8 @@ class Planner:
         """Notes that the last stage has done one of PARTS; returns the seconds that it took, in all runs."""
         number = self.number
         before = sum(self.journal[f"{one} seconds {number}"] for one in PARTS[: PARTS.index(part)])
-        return self.journal.once(
-            f"{part} seconds {number}",
-            lambda: self.clock.seconds() - self.journal[f"began {number}"] - before,
-        )
+        taken = lambda: self.clock.seconds() - self.journal[f"began {number}"] - before  # noqa: E731
+        return self.journal.once(f"{part} seconds {number}", taken)
 
     @property
     def is_finished(self) -> bool:
@@ -251,13 +220,12 @@ class Planner:
         finished = [n for n in range(len(self.stages)) if f"training seconds {n}" in self.journal]
         if not finished:
             return AS_EXPECTED
-        expected = [
-            expected_seconds(replace(self.stages[n], steps=self.journal[f"steps {n}"]), self.stages[:n])
-            for n in finished
+        done = [
+            (replace(self.stages[n], steps=self.journal[f"steps {n}"]), self.stages[:n]) for n in finished
         ]
+        expected = (astuple(expected_seconds(*one)) for one in done)
+        of_frames, of_training = (sum(part) for part in zip(*expected, strict=True))
         frames, training = (
             sum(self.journal[f"{part} seconds {n}"] for n in finished) for part in ("frame", "training")
         )
-        return Seconds(
-            frames / sum(one.frames for one in expected), training / sum(one.training for one in expected)
-        )
+        return Seconds(frames / of_frames, training / of_training)

@@ -16,15 +16,10 @@ _DETAIL, _LEAST_DETAIL, _MOST_DETAIL = 0.7, 0.6, 1.5
 
 @dataclass(frozen=True)
 class Needs:
-    """What a region and a scene take, over what the default region of `room` takes.
+    """What a region and a scene take, over what the default region of `room` takes."""
 
-    Attributes:
-        breadth: views of the region until little is unseen.
-        detail: Gaussians for equal breadth.
-    """
-
-    breadth: float = 1.0
-    detail: float = 1.0
+    breadth: float = 1.0  # views of the region until little is unseen
+    detail: float = 1.0  # Gaussians for equal breadth
 
     @staticmethod
     def of(breadth: float, complexity: float) -> Needs:
@@ -50,23 +45,14 @@ _COARSEST = 64
 
 @dataclass(frozen=True)
 class Stage:
-    """What is added, and how long is trained on all that there is.
+    """What is added, and how long is trained on all that there is."""
 
-    Attributes:
-        views: new views.
-        scale: resolution of these, in units of a view of SIDE x SIDE; 1, 2 or 4.
-        spp: samples per pixel that views at scale 1 have afterwards; those with smaller pixels have fewer.
-        gaussians: in the finest layer at the end.
-        steps: of the optimizer, over all layers.
-        breadth: of the region that it is for.
-    """
-
-    views: int
-    scale: int
-    spp: int
-    gaussians: int
-    steps: int
-    breadth: float = 1.0
+    views: int  # new ones
+    scale: int  # resolution of these, in units of a view of SIDE x SIDE; 1, 2 or 4
+    spp: int  # samples per pixel that views at scale 1 have afterwards; those with smaller pixels have fewer
+    gaussians: int  # in the finest layer at the end
+    steps: int  # of the optimizer, over all layers
+    breadth: float = 1.0  # of the region that it is for
 
     @property
     def whole(self) -> int:
@@ -104,11 +90,7 @@ class Stage:
 
     def in_time(self, share: float) -> Stage:
         """The stage in some share of its time, or multiple of it: that many of its new views and steps."""
-        return replace(
-            self,
-            views=round(self.views * share),
-            steps=max(1, round(self.steps * share)),
-        )
+        return replace(self, views=round(self.views * share), steps=max(1, round(self.steps * share)))
 
 
 STAGES = (

@@ -103,19 +103,15 @@ def labelled_views(frames: Frames, settings: TrainingSettings) -> list[TrainingV
 
 def _with_flow(frames: Frames, views: list[TrainingView]) -> list[TrainingView]:
     """Views whose pixels are labelled by what frames of other times show."""
+    albedos: Sequence[NDArray[np.float32] | None] = [None] * len(views)
+    if isinstance(frames, FrameSet):
+        albedos = [read_frame(entry.file, entry.size).albedo for entry in frames.training]
     observations = [
         Observation(view.camera, view.radiance.astype(np.float32), view.distance, view.time, albedo)
-        for view, albedo in zip(views, _albedos(frames), strict=True)
+        for view, albedo in zip(views, albedos, strict=True)
     ]
     objects = objects_of(observations, moving_pixels(observations))
     return [replace(view, instance=instance) for view, instance in zip(views, objects, strict=True)]
-
-
-def _albedos(frames: Frames) -> list[NDArray[np.float32] | None]:
-    """(H, W, 3) of each training frame; None where nobody knows it."""
-    if not isinstance(frames, FrameSet):
-        return [None] * len(frames.training)
-    return [read_frame(entry.file, entry.size).albedo for entry in frames.training]
 
 
 def training_view(entry: FrameEntry, courses: Sequence[Course] = ()) -> TrainingView:

@@ -17,7 +17,7 @@ from compose.fusion.parents import Parents
 from compose.image.colour import Image
 from compose.image.device_image import DeviceImage
 from compose.image.outliers import MOST, all_plain, filled, outliers
-from hybrid.base.compute_device import torch_device
+from hybrid.base.compute_device import device_arrays
 from pathtrace.trace.denoise import denoise, denoise_coarsely
 
 
@@ -25,12 +25,9 @@ from pathtrace.trace.denoise import denoise, denoise_coarsely
 class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
-    Attributes:
-        radiance: linear, of the whole frame; only the rectangle around the disc is used.
-        enlargement: side of the pixels that the splats were trained on, in pixels of this image.
-
-    Raises:
-        ValueError: the size of the image is not that of the camera's frame.
+    The radiance is linear and of the whole frame (ValueError if it is not); only the rectangle around the
+    disc is used. The enlargement is the side of the pixels that the splats were trained on, in pixels of this
+    image.
     """
 
     camera: Camera
@@ -46,10 +43,7 @@ class Underlay:
 
 
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
-    """The images that are fused, cropped to the rectangle around the disc.
-
-    `quick` is for the quicker denoiser.
-    """
+    """The images that are fused, cropped to the disc's rectangle; `quick` for the quicker denoiser."""
     assert disc.box is not None, "a disc without pixels has no images"
     splats = underlay.radiance.of_box(disc.box)
     images = DiscImages.of(disc, samples, splats)
@@ -65,10 +59,8 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
 class DiscImages:
     """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
 
-    Attributes:
-        radiance: three channels, linear, mean of the samples.
-        albedo, normal: three channels each.
-        count: samples per pixel.
+    Radiance (linear, the mean of the samples), albedo and normal have three channels each; the count is that
+    of samples per pixel.
     """
 
     disc: Disc
@@ -112,10 +104,7 @@ class DiscImages:
 
 
 def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
-    """(h, w, 3) tensor of denoised radiance, as one parent of several, from radiance, albedo and normal.
-
-    If `quick`, it is denoised at half the resolution.
-    """
+    """(h, w, 3) tensor of denoised radiance as one parent of several; at half the resolution if quick."""
     radiance, albedo, normal = tensors
     if not all_plain([radiance.array]):
         image: Image = np.asarray(radiance)
@@ -148,8 +137,7 @@ def _torch(tensor: Any) -> torch.Tensor:
 
     On a card, Dr.Jit's queue and torch's default one wait for each other.
     """
-    on_card = dr.backend_v(tensor) is dr.JitBackend.CUDA
-    if on_card and torch_device().type != "cuda":
+    if dr.backend_v(tensor) is dr.JitBackend.CUDA and device_arrays().device.type != "cuda":
         return torch.from_numpy(tensor.numpy())
     shared: torch.Tensor = tensor.torch()
     return shared

@@ -37,10 +37,7 @@ _WINDOW = 5
 
 @dataclass(frozen=True)
 class DiscRequest:
-    """The samples that a frame requires, `spp` per pixel on average over the disc.
-
-    The same seed yields the same samples. Albedo and normal are required if `auxiliary`.
-    """
+    """Samples that a frame requires: `spp` per pixel on average, the same for the same seed."""
 
     camera: Camera
     disc: Disc
@@ -93,13 +90,11 @@ class DiscTracer:
 
         Args:
             underlay: the splats under the disc; with them, samples go where they help most. Without them, and
-                at low sample counts, all pixels get the same number.
-            quick: whether all pixels get the same number in any case, and auxiliary features are those of
-                the samples wherever a few samples are known: deciding takes an eighth of the time of tracing
-                a disc at one sample per pixel, and features of their own as long as a path.
-
-        Raises:
-            ValueError: the underlay, if it is used, belongs to another camera.
+                at low sample counts, all pixels get the same number. ValueError if it is used and belongs to
+                another camera.
+            quick: whether all pixels get the same number in any case, and auxiliary features are those of the
+                samples wherever a few samples are known: deciding takes an eighth of the time of tracing a
+                disc at one sample per pixel, and features of their own as long as a path.
         """
         if not request.disc.count:
             return Samples.none(self._arrays, request.disc.pixels)

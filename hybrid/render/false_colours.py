@@ -91,10 +91,7 @@ def _legend(detail: DetailMap) -> NDArray[np.uint8]:
 def weights_picture(frame: Frame) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB: the shares of traced, denoised and splat as red, green and blue.
 
-    Outside the disc, the picture shows the frame itself in dark grey.
-
-    Raises:
-        ValueError: the fovea is not fused.
+    Outside the disc, the picture shows the frame itself in dark grey. ValueError if the fovea is not fused.
     """
     if frame.fovea.weights is None:
         raise ValueError("only a fused fovea has weights")

@@ -31,11 +31,7 @@ def attach_fusion(forest: Forest, fusion: Fusion) -> Forest:
 
 
 def fusion_of(forest: Forest) -> Fusion | None:
-    """The network that is attached to a forest; None if there is none.
-
-    Raises:
-        UserError: the network is damaged or of another version.
-    """
+    """The network that is attached to a forest, or None; UserError if it is damaged or of another version."""
     state = under(_FUSION, forest.attached)
     if not state:
         return None
@@ -63,11 +59,7 @@ def attach_plan(forest: Forest, values: Mapping[str, Any]) -> Forest:
 
 
 def plan_of_forest(forest: Forest) -> dict[str, Any]:
-    """What was planned for a forest, by name; empty if it does not say.
-
-    Raises:
-        UserError: what it says is damaged.
-    """
+    """What was planned for a forest, by name; empty if it does not say, UserError if that is damaged."""
     content = forest.attached.get(_PLAN)
     if content is None:
         return {}
@@ -101,11 +93,7 @@ def attach_views(forest: Forest, cameras: Sequence[Camera]) -> Forest:
 
 
 def views_of(forest: Forest) -> list[Camera]:
-    """The views that a forest was trained on; none if it does not say.
-
-    Raises:
-        UserError: the views are damaged.
-    """
+    """The views that a forest was trained on; none if it does not say, UserError if they are damaged."""
     table = forest.attached.get(_VIEWS)
     if table is None:
         return []

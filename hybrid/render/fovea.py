@@ -14,7 +14,7 @@ from compose.fovea.samples import Samples
 from compose.fusion.combination import fuse
 from compose.fusion.network import Fusion
 from compose.image.device_image import DeviceImage
-from hybrid.base.compute_device import torch_device, torch_working_on
+from hybrid.base.compute_device import device_arrays, torch_working_on
 from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from pathtrace.trace.tracer import Tracer
@@ -56,7 +56,7 @@ class Fovea:
 
     def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):
         self.disc = DiscTracer(tracer, history)
-        self._fusion = None if fusion is None else fusion.to(torch_device())
+        self._fusion = None if fusion is None else fusion.to(device_arrays().device)
 
     def thins_band(self, mode: FoveaMode) -> bool:
         """Whether fewer samples are traced in the band; only possible if no other pixel depends on them."""
@@ -80,12 +80,9 @@ class Fovea:
     ) -> tuple[Disc, Samples]:
         """Traces the disc with `spp` samples per pixel, for a fovea that will be made in a mode.
 
-        Args:
-            underlay: the splats under the disc, for a fused fovea.
-            quick: whether samples are distributed evenly, which takes less time.
-
-        Returns:
-            The pixels that have samples, with the weights of the blend; and the samples.
+        A fused fovea requires the underlay, the splats under the disc. If `quick`, samples are distributed
+        evenly, which takes less time. Returns the pixels that have samples, with the weights of the blend;
+        and the samples.
         """
         if self.thins_band(mode):
             thin, counts = thinned(disc, spp, seed)
@@ -104,13 +101,9 @@ class Fovea:
     ) -> FoveaImage:
         """Makes the fovea from the samples of the disc's pixels, with the quicker denoiser if `quick`.
 
-        Args:
-            surroundings: radiance that fills the corners of the rectangle around the disc; required for a
-                denoised fovea only.
-            underlay: the splats under the disc, in the same view; required for a fused fovea only.
-
-        Raises:
-            ValueError: what the mode requires is missing.
+        A denoised fovea requires the surroundings, radiance that fills the corners of the rectangle around
+        the disc; a fused one requires the underlay, the splats under the disc, in the same view. ValueError
+        if they are missing.
         """
         if mode is FoveaMode.RAW or not disc.count:
             return FoveaImage(disc, samples.radiance, samples)

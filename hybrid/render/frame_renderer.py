@@ -298,9 +298,6 @@ class LiveRenderer(Renderer):
     """Renders frames in sequence, with a fovea that reuses the samples of earlier frames.
 
     While the camera moves, what is filled is traced quickly; when it stands still, once.
-
-    Raises:
-        UserError: the forest belongs to another scene.
     """
 
     _is_quick, _effort = True, MOVING
@@ -327,10 +324,7 @@ class LiveRenderer(Renderer):
         return detail, drawn, whole if settings.fovea is FoveaMode.FUSED else None
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
-        """The last frame of this renderer with `spp` further samples per pixel in its disc.
-
-        The fovea is made with the quicker denoiser if `quick`.
-        """
+        """The last frame with `spp` more samples per pixel in its disc; `quick` for the quicker denoiser."""
         clock, settings = PassClock(), replace(frame.settings, spp=spp)
         self._relight(settings)
         shown = frame.fovea.disc, seed, frame.splats, frame.underlay

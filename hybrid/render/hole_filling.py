@@ -154,11 +154,7 @@ _STREAM = 0x3F110000
 
 @dataclass(frozen=True)
 class FillEffort:
-    """How well a fill is traced.
-
-    Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel; `quick` is
-    for the quicker denoiser.
-    """
+    """How well a fill is traced: samples of light per 4 x 4 pixels, of albedo per pixel, and the denoiser."""
 
     light_spp: int
     albedo_spp: int
@@ -171,12 +167,7 @@ MOVING, STILL = FillEffort(1, 1, True), FillEffort(4, 4, False)
 
 @dataclass(frozen=True)
 class Fill:
-    """What is filled of a frame.
-
-    Attributes:
-        disc: the D pixels, and the weight of the filled radiance in each.
-        radiance: three Floats (D,), linear.
-    """
+    """What is filled of a frame: D pixels with weights, and linear radiance, three Floats (D,)."""
 
     disc: Disc
     radiance: list[Any]
@@ -216,23 +207,11 @@ class Filler:
     ) -> Fill | None:
         """What is filled of a camera's frame; None if the forest knows all of it.
 
-        Args:
-            probe: traces rays to surfaces.
-            light: makes what traces radiance; called only if some is needed.
-            key: unless None, the fill is traced once until the camera or the key changes.
+        The probe traces rays to surfaces; `light` makes what traces radiance, and is called only if some is
+        needed. Unless the key is None, the fill is traced once until the camera or the key changes.
         """
-        if key is None:
-            return self._filled(camera, probe, light, effort, seed)
-        if self._kept is None or self._kept[0] != (camera, key):
-            made = self._filled(camera, probe, light, effort, seed)
-            if made is None:
-                return None
-            self._kept = (camera, key), made
-        return self._kept[1]
-
-    def _filled(
-        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: FillEffort, seed: int
-    ) -> Fill | None:
+        if key is not None and self._kept is not None and self._kept[0] == (camera, key):
+            return self._kept[1]
         if self._known is None or self._known[0] != camera:
             self._known = camera, self._coverage.of(camera, probe)
         unknown = np.float32(1) - self._known[1]
@@ -246,7 +225,10 @@ class Filler:
         albedo = probe.auxiliary(
             camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
         ).albedo
-        return Fill(disc, self._lit(disc, albedo, traced, known))
+        fill = Fill(disc, self._lit(disc, albedo, traced, known))
+        if key is not None:
+            self._kept = (camera, key), fill
+        return fill
 
     def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
         """Radiance of the D pixels with an albedo in a light that is linear between its pixels.
@@ -258,8 +240,7 @@ class Filler:
         top, left = (arrays.constant(side.start) for side in known.box)
         height, width = (arrays.constant(side) for side in known.shape)
         rows, columns = (plain.Int(arrays.constant(side)) for side in (known.height, known.width))
-        row = pixel // arrays.constant(disc.width)
-        column = pixel - row * arrays.constant(disc.width)
+        row, column = arrays.rows_columns(pixel, disc.width)
         x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
         first_x, first_y = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
         total = [plain.Float(0) for _ in range(3)]
@@ -280,12 +261,10 @@ class Filler:
 def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: int) -> Disc:
     """The pixels with a share of what is unknown, given for cells; it is linear between their centres."""
     plain, height, width = arrays.plain, camera.height, camera.width
-    across, columns = arrays.constant(width), arrays.constant(unknown.shape[1])
-    shares = uploaded(plain.Float, unknown)
+    columns, shares = arrays.constant(unknown.shape[1]), uploaded(plain.Float, unknown)
     pixel = dr.arange(plain.UInt, height * width)
-    row = pixel // across
     taps = []
-    for at, count in zip((row, pixel - row * across), unknown.shape, strict=True):
+    for at, count in zip(arrays.rows_columns(pixel, width), unknown.shape, strict=True):
         last = arrays.constant(count - 1)
         place = dr.clip((plain.Float(at) + 0.5) * (1 / side) - 0.5, 0, plain.Float(last))
         first = plain.UInt(place)
@@ -337,9 +316,8 @@ def _light(
 def _known(arrays: Arrays, camera: Camera, cells: NDArray[np.bool_], times: int) -> Disc:
     """The light's pixels in some cells, of which each has `times` along a side."""
     plain, (height, width) = arrays.plain, _grid(camera, _SIDE)
-    pixel, across = dr.arange(plain.UInt, height * width), arrays.constant(width)
-    row = pixel // across
-    cell = row // times * arrays.constant(cells.shape[1]) + (pixel - row * across) // times
+    row, column = arrays.rows_columns(dr.arange(plain.UInt, height * width), width)
+    cell = row // times * arrays.constant(cells.shape[1]) + column // times
     pixels = dr.compress(dr.gather(plain.Bool, uploaded(plain.Bool, cells), cell))
     # Denoising takes as long as the rectangle is large.
     rows, columns = (

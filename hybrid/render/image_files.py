@@ -17,11 +17,7 @@ from compose.image.exr import read_channels, write_channels
 
 
 def check_writable(path: Path) -> None:
-    """Checks, before long work begins, that a file can be written; creates its folder.
-
-    Raises:
-        UserError: the folder cannot be created or written to, or the path is a folder itself.
-    """
+    """Creates a file's folder; UserError, before long work begins, if the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -36,11 +32,7 @@ def write_png(path: Path, radiance: Image) -> None:
 
 
 def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
-    """Writes an (H, W, 3) image that is already in sRGB as a PNG file.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Writes an (H, W, 3) image that is already in sRGB as a PNG file; UserError if it cannot be written."""
     write_whole(path, lambda part: PillowImage.fromarray(image).save(part, format="PNG"))
 
 
@@ -50,10 +42,7 @@ def write_exr(
     """Writes AOVs, all of one size, to one EXR file, with further entries of its header.
 
     Channels are name.R, .G and .B for (H, W, 3), name.V for (H, W). Viewers that ignore layer names show the
-    AOV whose name is empty.
-
-    Raises:
-        UserError: the file cannot be written.
+    AOV whose name is empty. UserError if the file cannot be written.
     """
     channels = {}
     for name, image in aovs.items():
@@ -67,8 +56,7 @@ def write_exr(
 def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[np.float32]]:
     """All channels of an EXR file by their full names, such as composite.R; (H, W) each.
 
-    Raises:
-        UserError: the file is missing, damaged or not of the size (width, height) that is asked for.
+    UserError if it is missing, damaged or not of the size (width, height) that is asked for.
     """
     try:
         return read_channels(path, size)
@@ -82,11 +70,7 @@ _QUALITY = "16"
 
 
 def check_video(width: int, height: int) -> None:
-    """Checks, before long work begins, that a video with that frame size can be written.
-
-    Raises:
-        UserError: PyAV is not installed, or a side of the frame is odd.
-    """
+    """UserError, before long work begins, if PyAV is not installed or a side of the frame is odd."""
     try:
         import av  # noqa: F401
     except ImportError as error:
@@ -98,10 +82,7 @@ def check_video(width: int, height: int) -> None:
 def write_mp4(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
     """Writes a video of images (H, W, 3) in sRGB; the file appears complete or not at all.
 
-    Width and height, the size, must be even.
-
-    Raises:
-        UserError: the file cannot be written.
+    Width and height, the size, must be even. UserError if the file cannot be written.
     """
     import av
 

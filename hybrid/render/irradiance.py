@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from safetensors.numpy import save
 from compose.base.errors import UserError
 from compose.base.files import checksum, write_whole
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.progress import Bars, no_bars, no_progress
+from hybrid.base.progress import Bars, Steps, no_bars, no_progress
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightChoice
@@ -29,11 +31,7 @@ _CHECKSUM = "crc32"
 
 
 def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
-    """The cache in a file; if there is none or it is damaged, one that is filled and stored now.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """The cache in a file; if there is none or it is damaged, one that is filled and stored now."""
     try:
         with safe_open(path, framework="np") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -50,32 +48,34 @@ def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceC
         return cache
 
 
+# The arrays in a file by their places in a cache, and the types that they are read as.
+_FIELDS: dict[str, tuple[str, type]] = {
+    "origin": ("cells.grid.origin", np.float32),
+    "irradiance": ("irradiance", np.float32),
+    "lights.keys": ("lights.keys", np.uint64),
+    "lights.chances": ("lights.chances", np.float32),
+    "points.position": ("transfer.points.position", np.float32),
+    "points.normal": ("transfer.points.normal", np.float32),
+    "points.patch": ("transfer.patch", np.int32),
+    "rays.point": ("transfer.rays.point", np.int32),
+    "rays.square": ("transfer.rays.square", np.float32),
+    "rays.weight": ("transfer.rays.weight", np.float32),
+    "direct": ("transfer.direct", np.float32),
+    "reflected": ("transfer.reflected", np.float32),
+    "passed": ("transfer.passed", np.float32),
+    "known": ("transfer.known", bool),
+    "patches.cells": ("transfer.transport.patches.cells", np.int32),
+    "patches.rays": ("transfer.transport.rays", np.int32),
+    "links.starts": ("transfer.transport.starts", np.int32),
+    "links.cells": ("transfer.transport.cells", np.int32),
+    "links.reflectance": ("transfer.transport.reflectance", np.float32),
+}
+
+
 def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
-    """A cache as arrays by name."""
-    cells, lights = cache.cells, cache.lights
-    transfer, transport = cache.transfer, cache.transfer.transport
-    arrays: dict[str, NDArray[np.generic]] = {
-        "origin": cells.grid.origin,
-        "scale": np.array([cells.grid.scale]),
-        "irradiance": cache.irradiance,
-        "lights.keys": lights.keys,
-        "lights.chances": lights.chances,
-        "points.position": transfer.points.position,
-        "points.normal": transfer.points.normal,
-        "points.patch": transfer.patch,
-        "rays.point": transfer.rays.point,
-        "rays.square": transfer.rays.square,
-        "rays.weight": transfer.rays.weight,
-        "direct": transfer.direct,
-        "reflected": transfer.reflected,
-        "passed": transfer.passed,
-        "known": transfer.known,
-        "patches.cells": transport.patches.cells,
-        "patches.rays": transport.rays,
-        "links.starts": transport.starts,
-        "links.cells": transport.cells,
-        "links.reflectance": transport.reflectance,
-    }
+    cells = cache.cells
+    arrays = {name: attrgetter(place)(cache) for name, (place, _) in _FIELDS.items()}
+    arrays["scale"] = np.array([cells.grid.scale])
     for level, (keys, counts) in enumerate(zip(cells.keys, cells.counts, strict=True)):
         arrays |= {f"keys.{level}": keys, f"counts.{level}": counts}
     return {name: np.ascontiguousarray(values) for name, values in arrays.items()}
@@ -83,39 +83,27 @@ def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
 
 def _cache(arrays: dict[str, NDArray[np.generic]]) -> IrradianceCache:
     """The cache of `_arrays`; KeyError or ValueError if something is missing, or sizes do not match."""
-    grid = Grid(arrays["origin"].astype(np.float32), float(arrays["scale"][0]))
-    levels = range(len(SIDES))
+    of: dict[str, Any] = {name: arrays[name].astype(kind) for name, (_, kind) in _FIELDS.items()}
+    grid, levels = Grid(of["origin"], float(arrays["scale"][0])), range(len(SIDES))
     keys = tuple(arrays[f"keys.{level}"].astype(np.uint64) for level in levels)
     cells = Cells(grid, keys, tuple(arrays[f"counts.{level}"].astype(np.int64) for level in levels))
-    irradiance, transfer = arrays["irradiance"].astype(np.float32), _transfer(arrays)
+    known, irradiance = of["known"], of["irradiance"]
+    links = of["links.starts"], of["links.cells"], of["links.reflectance"]
+    transfer = Transfer(
+        Points(of["points.position"], of["points.normal"]),
+        of["points.patch"],
+        Rays(of["rays.point"], of["rays.square"], of["rays.weight"]),
+        *(of["direct"], of["reflected"], of["passed"]),
+        Transport(Patches(of["patches.cells"], len(known)), of["patches.rays"], *links),
+        known,
+    )
+    transfer.check()
     if irradiance.shape[1:] != (len(cells), 3) or not np.isfinite(irradiance).all():
         raise ValueError("irradiance does not match the cells")
-    if transfer.known.sum() != len(cells):
+    if known.sum() != len(cells):
         raise ValueError("transfer does not match the cells")
-    names, chances = arrays["lights.keys"].astype(np.uint64), arrays["lights.chances"].astype(np.float32)
-    return IrradianceCache(cells, irradiance, LightChoice(grid, names, chances), transfer)
-
-
-def _transfer(arrays: dict[str, NDArray[np.generic]]) -> Transfer:
-    """The transfer of `_arrays`; errors are those of `_cache`."""
-
-    def single(*names: str) -> Iterator[NDArray[np.float32]]:
-        return (arrays[name].astype(np.float32) for name in names)
-
-    def whole(*names: str) -> Iterator[NDArray[np.int32]]:
-        return (arrays[name].astype(np.int32) for name in names)
-
-    known = arrays["known"].astype(bool)
-    patches, patch, point = whole("patches.cells", "points.patch", "rays.point")
-    rays, starts, cells = whole("patches.rays", "links.starts", "links.cells")
-    (reflectance,) = single("links.reflectance")
-    transport = Transport(Patches(patches, len(known)), rays, starts, cells, reflectance)
-    points = Points(*single("points.position", "points.normal"))
-    of_points = Rays(point, *single("rays.square", "rays.weight"))
-    direct, reflected, passed = single("direct", "reflected", "passed")
-    transfer = Transfer(points, patch, of_points, direct, reflected, passed, transport, known)
-    transfer.check()
-    return transfer
+    lights = LightChoice(grid, of["lights.keys"], of["lights.chances"])
+    return IrradianceCache(cells, irradiance, lights, transfer)
 
 
 # Views around the scene's own camera whose paths a cache is filled for.
@@ -123,11 +111,7 @@ _VIEWS = 8
 
 
 def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
-    """The stored cache of a scene; if there is none, it is filled in seconds and stored.
-
-    Raises:
-        UserError: the cache folder cannot be written.
-    """
+    """The stored cache of a scene; if there is none, it is filled in seconds and stored."""
     file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
 
     def filled() -> IrradianceCache:
@@ -137,13 +121,8 @@ def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     return stored_cache(file, filled)
 
 
-def filled_cache(
-    scene: Scene, progress: Callable[[int, int], None] = no_progress, seed: int = 0
-) -> IrradianceCache:
-    """A cache filled for views around the scene's own camera; of a scene that moves, at time 0.
-
-    The same seed yields the same cache on the same machine.
-    """
+def filled_cache(scene: Scene, progress: Steps = no_progress, seed: int = 0) -> IrradianceCache:
+    """A cache filled for views around the scene's own camera; of a scene that moves, at time 0."""
     scene.show(0.0)
     camera = scene.camera
     try:
@@ -158,10 +137,8 @@ def filled_cache(
 class CachedTracer:
     """Traces a scene by paths that end in its cache, whose light follows the lights of the scene.
 
-    Russian roulette ends paths from a path depth on, by default that of the scene.
-
-    Attributes:
-        tracer: traces, with what is known of the light now.
+    Russian roulette ends paths from a path depth on, by default that of the scene. `tracer` traces with what
+    is known of the light now.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, roulette_depth: int | None):

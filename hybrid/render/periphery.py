@@ -81,10 +81,7 @@ assert CELL == TILE
 
 
 class Periphery:
-    """Draws the periphery of frames with one forest.
-
-    Results that depend on the camera alone are kept until it changes.
-    """
+    """Draws the periphery of frames with one forest, and keeps what depends on the camera alone."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.forest = forest
@@ -109,9 +106,7 @@ class Periphery:
         """The detail that the viewer resolves in each part of a frame.
 
         While the camera is moving, the saliency of an earlier view will do that shows nearly the same.
-
-        Raises:
-            UserError: the forest does not have the layers that the settings ask for.
+        UserError if the forest does not have the layers that the settings ask for.
         """
         low, high = self.layers_of(settings)
         unlimited = settings.acuity_model == "none"
@@ -140,23 +135,15 @@ class Periphery:
 
     def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> SplatImage:
         """The part of a frame that the fovea leaves visible, drawn with the required detail."""
-        return self._drawn(camera, detail, region, None)[0]
+        return self.draw_with_disc(camera, None, detail, region)[0]
 
     def draw_with_disc(
-        self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
+        self, camera: Camera, settings: FrameSettings | None, detail: DetailMap, region: FoveaRegion
     ) -> tuple[SplatImage, SplatImage]:
-        """What `draw` and `under_disc` draw, in little more time than the first of them takes."""
-        return self._drawn(camera, detail, region, self._under(settings, region))
-
-    def _drawn(
-        self, camera: Camera, detail: DetailMap, region: FoveaRegion, under: Under | None
-    ) -> tuple[SplatImage, SplatImage]:
-        pictures = [
-            LayerImage(step.layer, step.rate, detail.weight(number))
-            for number, step in enumerate(detail.steps)
-        ]
-        wanted = region.peripheral_tiles(TILE)
-        return self._renderer.render(camera, pictures, detail.low_pass, wanted, under)
+        """What `draw` and, with settings, `under_disc` draw, in little more time than `draw` takes."""
+        layers = [LayerImage(one.layer, one.rate, detail.weight(n)) for n, one in enumerate(detail.steps)]
+        under = None if settings is None else self._under(settings, region)
+        return self._renderer.render(camera, layers, detail.low_pass, region.peripheral_tiles(TILE), under)
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion

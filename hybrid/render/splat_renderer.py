@@ -66,11 +66,7 @@ class SplatRenderer:
         )
 
     def splats(self, settings: FrameSettings) -> Image:
-        """(H, W, 3) the finest allowed layer over the whole frame at full rate.
-
-        Raises:
-            UserError: as in `frame`.
-        """
+        """(H, W, 3) the finest allowed layer over the whole frame at full rate; UserError as in `frame`."""
         return self._periphery.whole(*self._begun(settings)).numpy()
 
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:

@@ -20,7 +20,7 @@ from compose.camera.camera import View, camera_from_pose
 from compose.eye.gaze import GazeTrace
 from compose.image.colour import bytes_from_radiance
 from hybrid.base.identity import require_same
-from hybrid.base.progress import interrupts_between_steps
+from hybrid.base.progress import Steps, interrupts_between_steps
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_mp4, write_srgb
@@ -42,27 +42,23 @@ def frame_count(seconds: float, fps: int) -> int:
 
 
 class VideoFrames:
-    """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
+    """The rendered frames of a video, in a folder, and the fovea's history as it was stored, if it was.
 
     The folder is created with the first frame. The identity is everything that the frames depend on, in types
-    that JSON has.
-
-    Attributes:
-        milliseconds: per pass, of each rendered frame.
-
-    Raises:
-        UserError: the folder is damaged, or holds another video.
+    that JSON has. `milliseconds` are per pass, of each rendered frame. UserError if the folder is damaged, or
+    holds another video.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]):
         self._folder, self._identity = folder, identity
         self._state = folder / "state.safetensors"
         self._saved = time.monotonic()
-        self._history: dict[str, torch.Tensor] = {}
+        self.history: State = {}
         self.milliseconds: list[dict[str, float]] = []
         if self._state.is_file():
             again = "delete the folder to start again"
-            self._history, found = load_tensors(self._state, again)
+            tensors, found = load_tensors(self._state, again)
+            self.history = {name: tensor.numpy() for name, tensor in tensors.items()}
             require_same(
                 found.get("identity", {}),
                 identity,
@@ -73,17 +69,10 @@ class VideoFrames:
             for number in range(len(self.milliseconds)):
                 self._check(self._file(number))
 
-    def history(self) -> State:
-        """The fovea's history after the last frame; empty if there is none."""
-        return {name: tensor.numpy() for name, tensor in self._history.items()}
-
     def add(
         self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
     ) -> None:
-        """Stores the next frame, (H, W, 3) in sRGB, with its milliseconds per pass.
-
-        Once in a while, `history` is called for the fovea's history, which is then stored as well.
-        """
+        """Stores the next frame, (H, W, 3) in sRGB, and once in a while the fovea's history."""
         write_srgb(self._file(len(self.milliseconds)), image)
         self.milliseconds.append(milliseconds)
         if time.monotonic() - self._saved > _EVERY:
@@ -128,30 +117,19 @@ def render_video(
     fps: int,
     seed: int,
     identity: dict[str, Any],
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, float]]:
     """Renders a video along a gaze trace; the file appears complete or not at all.
 
-    A scene that moves does so at its own speed, and begins anew when its time is over.
+    A scene that moves does so at its own speed, from the time of the settings on, and begins anew when its
+    time is over. With a history, the renderer's frames are those that the window shows. The seed is that of
+    the first frame; each further one has the next seed, and after MOST_SEED comes 0.
 
-    Until it is complete, its frames are kept in a folder beside it, from which an interrupted video resumes.
+    Until it is complete, the frames are kept in a folder beside it, from which an interrupted video resumes
+    if its identity is the same: everything that frames depend on, in types that JSON has.
 
-    Args:
-        path: MP4 file to write.
-        renderer: with a history, frames are those that the window shows.
-        settings: of the frames, except for the gaze; `time` is that of the first frame.
-        trace: where the viewer looks.
-        fps: frames per second.
-        seed: of the first frame; each further one has the next seed, and after MOST_SEED comes 0.
-        identity: everything that the frames depend on, in types that JSON has.
-        progress: called with frames done and frames in total.
-
-    Returns:
-        Milliseconds per pass, of each frame.
-
-    Raises:
-        UserError: the video would have too many frames, the seed is out of range, the folder is damaged or
-            holds another video, or the file cannot be written.
+    Returns milliseconds per pass, of each frame. UserError if the video would have too many frames, the seed
+    is out of range, the folder is damaged or holds another video, or the file cannot be written.
     """
     require_seed(seed)
     count = frame_count(trace.duration, fps)
@@ -159,7 +137,7 @@ def render_video(
     disc = renderer.fovea_of(settings).disc
     moving = renderer.scene.moving
     frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
-    disc.restore_history(camera, frames.history())
+    disc.restore_history(camera, frames.history)
     with interrupts_between_steps() as interrupted:
         try:
             for number in range(len(frames.milliseconds), count):
@@ -184,10 +162,7 @@ def render_video(
 
 
 class ViewPath:
-    """A way through one or more views at equal steps, straight and evenly turning between them.
-
-    All frames have the size of the first view.
-    """
+    """A way through views at equal steps, straight and evenly turning, in frames of the first one's size."""
 
     def __init__(self, views: Sequence[View]):
         self._size = views[0].camera.width, views[0].camera.height
@@ -216,24 +191,14 @@ def render_splat_video(
     views: ViewPath,
     seconds: float,
     fps: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
     trace: GazeTrace | None = None,
 ) -> list[dict[str, float]]:
     """Renders a video that passes all views once; the file appears complete or not at all.
 
-    Args:
-        path: MP4 file to write.
-        settings: of the frames, except for camera and time.
-        seconds: that the way through the views takes.
-        fps: frames per second.
-        progress: called with frames done and frames in total.
-        trace: where the viewer looks; None for the gaze of the settings.
-
-    Returns:
-        Milliseconds per pass, of each frame.
-
-    Raises:
-        UserError: the video would have too many frames, or the file cannot be written.
+    The way through the views takes so many seconds; without a trace, the gaze is that of the settings.
+    Returns milliseconds per pass, of each frame. UserError if there would be too many, or the file cannot be
+    written.
     """
     count = frame_count(seconds, fps)
     times: list[dict[str, float]] = []

@@ -42,10 +42,8 @@ while time.monotonic() < end:
 class WindowBench(QObject):
     """Moves the mouse over a window, which is not open yet, for some seconds, then closes it.
 
-    Args:
-        seconds: for which it is measured, after four seconds of warm-up.
-        moves: whether to move the mouse; not if a gaze trace is replayed.
-        load: seconds in the middle for which another process keeps one core busy.
+    It is measured for `seconds`, after four of warm-up; the mouse does not move if a gaze trace is replayed.
+    For `load` seconds in the middle, another process keeps one core busy.
     """
 
     def __init__(self, window: MainWindow, seconds: float, moves: bool, load: float = 0.0):
@@ -121,22 +119,10 @@ def run_window(
     options: WindowOptions,
     thin_glass: bool = False,
 ) -> tuple[dict[str, Any], str]:
-    """Runs the window until it is closed.
+    """Runs the window until it is closed; arguments are those of commands.
 
-    Args:
-        scene: name of a bundled scene, or a Mitsuba XML file.
-        forest: forest file; None for the newest one of the scene.
-        backend: auto, cuda or llvm.
-        settings: initial settings of the frames.
-        trace: replayed instead of the mouse; None for the mouse.
-        options: how the window runs.
-        thin_glass: whether panes of glass let shadow rays pass.
-
-    Returns:
-        What was measured (see `figures`; `target`, see `steadiness`), and a summary of it for people.
-
-    Raises:
-        UserError: the scene or the forest cannot be used.
+    The trace is replayed instead of the mouse. Returns what was measured (see `figures`; `target`, see
+    `steadiness`), and a summary of it for people. UserError if the scene or the forest cannot be used.
     """
     application = QApplication(sys.argv[:1])
     # Training would take minutes of a measurement that is expected to take seconds.

@@ -36,9 +36,8 @@ _QUICK_FOR = 1.0
 class FrameLoop:
     """Renders frame after frame; `ladder` measures the settings to choose from for frames like a request.
 
-    Attributes:
-        due: time.perf_counter before which the next frame should not begin.
-        idle: whether there is nothing to do until another frame is requested.
+    The next frame should not begin before `due`, a time.perf_counter. While `idle`, there is nothing to do
+    until another frame is requested.
     """
 
     def __init__(self, source: FrameSource, ladder: Callable[[Request], Sequence[MeasuredSettings]]):
@@ -103,29 +102,23 @@ _ACTIVITY = "measuring settings"
 def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[MeasuredSettings]:
     """The Pareto-optimal settings of the window, each slower and better than the one before it.
 
-    The request has the window's size, acuity model and display.
-
-    Raises:
-        UserError: the cache folder cannot be written, or a file in it is damaged.
+    The request has the window's size, acuity model and display. UserError if the cache folder cannot be
+    written, or if a file in it is damaged.
     """
     window = like.settings.camera or source.camera
     camera = source.camera.resized(window.width, window.height)
     settings = replace(like.settings, camera=camera, gaze=Gaze(), scale=1.0)
     renderer, size = source.renderer, (camera.width, camera.height)
-    store = MeasuredStore.of("window", renderer.scene, renderer.periphery.forest, size, settings)
+    store = MeasuredStore("window", renderer.scene, renderer.periphery.forest, size, settings)
     found = store.load()
-    if found is not None:
-        return front_of(found[1])
-    measured = _measured(source, camera, settings, report)
-    store.save("quality", measured)
-    return front_of(measured)
+    if found is None:
+        found = "quality", _measured(source, camera, settings, report)
+        store.save(*found)
+    return front_of(found[1])
 
 
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
-    """Settings from very coarse to very fine, for a forest with a number of layers.
-
-    Acuity model, display, and the share of the radius that the band takes are those of the base.
-    """
+    """Settings from very coarse to very fine, with the base's acuity model, display and share of the band."""
     plain = replace(base, spp=1, layers=(1, layers), rate=0, scale=1.0)
 
     def made(fov_a: float, **other: Any) -> FrameSettings:
@@ -142,7 +135,6 @@ def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
 def _measured(
     source: FrameSource, camera: Camera, base: FrameSettings, report: Progress
 ) -> list[MeasuredSettings]:
-    """All candidates with their time and quality."""
     wanted = candidates(base, source.layers)
     report(0, len(wanted) + 1, _ACTIVITY)
     views = _held_out(source, camera)
@@ -178,10 +170,7 @@ def _held_out(source: FrameSource, camera: Camera) -> list[tuple[View, Image]]:
 
 
 def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
-    """Quality of a view's first frame, without any history, to a viewer who looks at the settings' gaze.
-
-    In JOD, or SSIM where FovVideoVDP is not installed.
-    """
+    """JOD, or SSIM without FovVideoVDP, of a view's first frame for a viewer with the settings' gaze."""
     source.forget()
     own = replace(settings, camera=view.camera, time=view.time)
     composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.camera)

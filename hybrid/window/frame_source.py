@@ -63,10 +63,7 @@ class FrameSource:
         return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
-        """The requested image; the same request again yields a slightly better one each time.
-
-        If `quick`, the frame must not take longer for more samples.
-        """
+        """The requested image, a little better with each call; if `quick`, in no more time."""
         self._seed += 1
         # What frames of another size or kind needed.
         if time.monotonic() - self._released > _RELEASE_EVERY:
@@ -104,11 +101,7 @@ class FrameSource:
         self.renderer.forget()
 
     def save(self, png: Path) -> None:
-        """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR.
-
-        Raises:
-            UserError: a file cannot be written.
-        """
+        """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR."""
         if self._last is not None:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
@@ -144,14 +137,10 @@ def prepared(
     report: Progress,
     thin_glass: bool = False,
 ) -> FrameSource:
-    """The source of a scene's frames; see `run_window` for the arguments.
+    """The source of a scene's frames, the first of which has these settings; arguments as in `run_window`.
 
-    Args:
-        trains: whether to train a forest if there is none.
-        settings: of the first frame.
-
-    Raises:
-        UserError: the scene or the forest is missing, or they do not belong together.
+    If there is no forest, one is trained if `trains`. UserError if the scene or the forest is missing, or if
+    they do not belong together.
     """
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)

@@ -25,17 +25,10 @@ _LEAST_LOAD = 1e-3
 
 
 class FrameTimeController:
-    """Chooses settings from a ladder so that frames take the target time.
+    """Chooses settings from a ladder so that frames take the target time, in milliseconds.
 
-    Args:
-        ladder: Pareto-optimal settings, each slower and better than the one before it.
-
-    Attributes:
-        target: milliseconds per frame.
-        load: time of a frame over the time measured for its settings, averaged over recent frames.
-
-    Raises:
-        ValueError: the ladder is empty, its times do not increase, or the target is not positive.
+    The load is the time of a frame over the time measured for its settings, averaged over recent frames.
+    ValueError if the ladder is empty, its times do not increase, or the target is not positive.
     """
 
     def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
@@ -95,10 +88,7 @@ class FrameTimeController:
 
 
 def applied(choice: MeasuredSettings, requested: FrameSettings) -> FrameSettings:
-    """The requested settings with the chosen radius, samples, layers, rate and scale.
-
-    The band keeps its share of the radius.
-    """
+    """The requested settings with the chosen radius (the band keeps its share), samples and so on."""
     settings = choice.settings
     return replace(
         requested.with_radius(settings.fov_a),

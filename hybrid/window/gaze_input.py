@@ -20,14 +20,9 @@ class TimedGaze:
 
 
 class GazeInput:
-    """Reports the gaze at each moment.
+    """Reports the gaze at each moment, `latency` seconds late; `last` is the one that was last reported.
 
-    Args:
-        latency: seconds from a gaze to its report.
-        trace: replayed in a loop instead of the mouse; None for the mouse.
-
-    Attributes:
-        last: the gaze that was last reported.
+    The trace, unless None, is replayed in a loop instead of the mouse.
     """
 
     def __init__(self, latency: float, trace: GazeTrace | None):
@@ -62,11 +57,7 @@ class GazeInput:
 
 
 def unused_file(folder: Path, name: str, suffix: str) -> Path:
-    """FOLDER/NAME-001SUFFIX, with the lowest number that no file there has yet.
-
-    Raises:
-        UserError: the folder cannot be read.
-    """
+    """FOLDER/NAME-001SUFFIX, or the next number without a file; UserError if the folder cannot be read."""
     files = (folder / f"{name}-{number:03d}{suffix}" for number in itertools.count(1))
     try:
         return next(file for file in files if not file.exists())
@@ -91,10 +82,7 @@ class GazeRecording:
     def toggle(self, name: str) -> str:
         """Starts recording, or writes what was recorded to NAME-gaze-001.csv or the next free number.
 
-        If the file cannot be written, the recording continues.
-
-        Returns:
-            A message for the user.
+        If the file cannot be written, the recording continues. Returns a message for the user.
         """
         recorded = self._recorded
         if recorded is None:

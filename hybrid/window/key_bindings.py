@@ -20,12 +20,7 @@ _WALK = {
     _Key.Key_E: (0, -1, 0),
 }
 # Right and down.
-_LOOK = {
-    _Key.Key_Left: (-1, 0),
-    _Key.Key_Right: (1, 0),
-    _Key.Key_Up: (0, -1),
-    _Key.Key_Down: (0, 1),
-}
+_LOOK = {_Key.Key_Left: (-1, 0), _Key.Key_Right: (1, 0), _Key.Key_Up: (0, -1), _Key.Key_Down: (0, 1)}
 # Walking speed in median distances per second, and turning speed in degrees per second.
 _PACE, _TURN = 0.3, 60.0
 
@@ -71,33 +66,21 @@ _HELP = {
 HELP = [f"{keys:<14}{effect}" for keys, effect in _HELP.items()]
 
 
-class HeldKeys:
+class HeldKeys(set[int]):
     """Keys that walk or look around for as long as they are held; times are seconds on one clock."""
 
     def __init__(self, now: float):
-        self._held: set[int] = set()
+        super().__init__()
         self._before = now
-
-    def __bool__(self) -> bool:
-        """Whether any key is held."""
-        return bool(self._held)
 
     def press(self, key: int, now: float) -> bool:
         """Notes that a key is pressed, if it walks or looks around; whether it does."""
         if key not in _WALK and key not in _LOOK:
             return False
-        if key not in self._held:
+        if key not in self:
             self._before = now
-        self._held.add(key)
+        self.add(key)
         return True
-
-    def release(self, key: int) -> None:
-        """Notes that a key is no longer held."""
-        self._held.discard(key)
-
-    def clear(self) -> None:
-        """Notes that no key is held."""
-        self._held.clear()
 
     def elapsed(self, now: float) -> float:
         """Seconds since the last call, or since a key was pressed."""
@@ -105,11 +88,8 @@ class HeldKeys:
         return seconds
 
     def move(self, walker: Walker, distance: float, seconds: float) -> None:
-        """Walks and looks around as far as the keys do that were held for some seconds.
-
-        The distance is the median one to what is visible, in units of the scene.
-        """
-        for key in self._held:
+        """Walks and looks around for some seconds; the pace is in median distances to what is visible."""
+        for key in self:
             if key in _WALK:
                 step = _PACE * distance * seconds
                 walker.walk(*(step * way for way in _WALK[_Key(key)]))

@@ -58,17 +58,9 @@ class WindowOptions:
 
 
 class MainWindow(QMainWindow):
-    """Shows one scene.
-
-    Args:
-        thread: renders; not started yet.
-        settings: initial settings; gaze and camera are the window's.
-        gaze: where it comes from.
-        options: how the window runs; a bench keeps the times of all frames.
+    """Shows one scene, which a thread that is not started yet renders; a bench keeps the times of all frames.
 
     Attributes:
-        canvas: shows the frame.
-        meter: times of the shown frames.
         panel, walker: controls and viewer; None until the scene is loaded.
         request: the newest one that was sent to the renderer.
         shown: the frame on the screen.
@@ -96,8 +88,7 @@ class MainWindow(QMainWindow):
         self._actions: dict[Command | ShownView, Callable[[], object]] = {
             Command.HOLD: self._toggle_hold,
             Command.RING: self.canvas.toggle_ring,
-            Command.HUD: partial(self._toggle_text, Command.HUD),
-            Command.HELP: partial(self._toggle_text, Command.HELP),
+            **{text: partial(self._toggle_text, text) for text in (Command.HUD, Command.HELP)},
             Command.FULL_SCREEN: self._toggle_full_screen,
             Command.LEAVE: self._leave,
         }
@@ -174,7 +165,7 @@ class MainWindow(QMainWindow):
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         if not event.isAutoRepeat():
-            self._held_keys.release(event.key())
+            self._held_keys.discard(event.key())
 
     def focusNextPrevChild(self, forward: bool) -> bool:  # noqa: N802
         # Tab is a command here.

@@ -74,10 +74,9 @@ class Request:
 
 @dataclass(frozen=True)
 class ShownFrame:
-    """An image for the window, and what it was made of.
+    """An image for the window, (H, W, 3) sRGB, and what it was made of.
 
     Attributes:
-        image: (H, W, 3) sRGB.
         request: what was asked for, with the settings that were chosen for it.
         frame: the hybrid frame behind the image.
         paths: traced for it.

@@ -27,10 +27,8 @@ class Timed(NamedTuple):
 class Meter:
     """Collects the times, of time.perf_counter, of all shown frames or of the last hundred.
 
-    Attributes:
-        intervals: from each frame to the next one.
-        latencies: from each gaze movement to the first frame that includes it or a newer one.
-        passes: milliseconds of each pass, by name, of each frame.
+    Intervals are from each frame to the next one; latencies from each gaze movement to the first frame that
+    includes it or a newer one; passes the milliseconds of each pass, by name, of each frame.
     """
 
     def __init__(self, keeps_all: bool = False):
@@ -94,10 +92,9 @@ _RECOVERY = 2.0
 def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]:
     """Frame times, latencies and passes of a window of that width and height, since a time.perf_counter.
 
-    Returns:
-        `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`,
-        percentiles from mouse to screen; `passes`, median milliseconds of each; `frames`, the seconds from
-        the start and the milliseconds of each; `machine`. Absent where nothing was measured.
+    `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`, percentiles
+    from mouse to screen; `passes`, median milliseconds of each; `frames`, the seconds from the start and the
+    milliseconds of each; `machine`. Absent where nothing was measured.
     """
     frames = [(at - start, seconds * 1000) for at, seconds in meter.intervals if at > start]
     latencies = [seconds * 1000 for at, seconds in meter.latencies if at > start]
@@ -116,12 +113,10 @@ def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]
 def steadiness(
     frames: Sequence[tuple[float, float]], fps: float, loaded: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """How well a frame time was kept.
+    """How well a target of frames per second was kept.
 
-    Args:
-        frames: of each, the seconds at which it came, and the milliseconds since the one before.
-        fps: the target.
-        loaded: seconds at which another process began and ended to keep a core busy.
+    Frames are the seconds at which each came, and the milliseconds since the one before; `loaded` the seconds
+    at which another process began and ended to keep a core busy.
 
     Returns:
         `fps`, `tolerance`; `kept`, the share of frames within 20 % of the target, without those under load

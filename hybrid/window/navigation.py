@@ -58,12 +58,7 @@ class Walker:
 
 
 class Playback:
-    """Time of a scene, which goes from 0 to 1 in the given seconds if its speed is 1.
-
-    Attributes:
-        playing: whether time passes.
-        speed: how many times as fast as the scene itself.
-    """
+    """Time of a scene, which goes from 0 to 1 in the given seconds if its speed is 1, while it is playing."""
 
     def __init__(self, seconds: float):
         self._seconds, self._time, self._before = seconds, 0.0, 0.0

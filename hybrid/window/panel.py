@@ -37,12 +37,8 @@ class Panel(QWidget):
     """Sliders and lists; what is chosen with them is a valid setting at every moment.
 
     Until something is changed by hand, the settings are exactly the initial ones, which sliders, with their
-    whole numbers, may only approximate.
-
-    Args:
-        settings: initial settings; what no control changes stays as it is.
-        target_fps: initial target, None for none.
-        playback: of a scene that moves; None for one that stands still, which has no controls of time.
+    whole numbers, may only approximate; what no control changes stays as it is. The playback is None if the
+    scene stands still, which has no controls of time.
     """
 
     changed = Signal()

@@ -17,11 +17,7 @@ _LIBRARIES = (
 
 
 def require_window() -> None:
-    """Checks that Qt can open a window, before Qt itself ends the process because it cannot.
-
-    Raises:
-        UserError: Qt is not installed, there is no display, or Qt cannot use it.
-    """
+    """UserError if Qt cannot open a window, raised before Qt itself ends the process for that reason."""
     try:
         import PySide6  # noqa: F401
     except ImportError as error:
@@ -39,10 +35,6 @@ def require_window() -> None:
 
 
 def tried(environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Lets another process connect to the display; the outcome of that process.
-
-    Args:
-        environment: of the process; None for that of this one.
-    """
+    """Lets another process connect to the display, in this environment by default; returns how it ended."""
     trial = [sys.executable, "-c", "from PySide6.QtWidgets import QApplication; QApplication([])"]
     return subprocess.run(trial, env=environment, capture_output=True, text=True, check=False)

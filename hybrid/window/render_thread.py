@@ -21,15 +21,11 @@ _POLL = 0.1
 
 
 class RenderThread(QThread):
-    """Renders the newest request, again and again as long as that makes the frame better.
+    """Renders the newest of the requests, again and again as long as that makes the frame better.
 
     Args:
-        prepare: makes the source of frames, on this thread. It is given a function that reports progress,
-            and that raises KeyboardInterrupt once the window is closed.
-
-    Attributes:
-        requests: what the window asks for.
-        frames: what it receives.
+        prepare: makes the source of frames, on this thread. It is given a function that reports progress, and
+            that raises KeyboardInterrupt once the window is closed.
     """
 
     # Activity, steps done, steps in total.
@@ -76,7 +72,6 @@ class RenderThread(QThread):
         self.progress.emit(label, done, total)
 
     def _serve(self, source: FrameSource, loop: FrameLoop) -> None:
-        """Renders until the window is closed."""
         request: Request | None = None
         while not self._stopping.is_set():
             # Wait first, then take the request, so that its gaze is as new as can be.

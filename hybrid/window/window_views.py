@@ -30,10 +30,7 @@ _MOST_SAMPLES = 1024
 
 
 class ConvergingFrame:
-    """Path-traced radiance of one view, which gets better with every step.
-
-    Pixels that have no sample yet show a stand-in, radiance (H, W, 3).
-    """
+    """Path-traced radiance of one view, which gets better with every step, from a stand-in (H, W, 3)."""
 
     def __init__(self, tracer: Tracer, camera: Camera, stand_in: Image):
         self._tracer, self.camera = tracer, camera
@@ -96,11 +93,7 @@ _STRONGEST = 0.25
 
 
 def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB image of a view of a hybrid frame, with the path-traced frame for views that need it.
-
-    Raises:
-        ValueError: the view needs the path-traced frame, and there is none.
-    """
+    """(H, W, 3) sRGB image of a view; ValueError if it needs the path-traced frame, and there is none."""
     if view is ShownView.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.region)
     if view is ShownView.FOVEA:

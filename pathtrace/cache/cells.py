@@ -26,21 +26,13 @@ _FACTORS = (
     (0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D, 0x27D4EB2F),
     (0x165667B1, 0xD6E8FEB9, 0xA5CB9243, 0x7FEB352D),
 )
-
-
-# Of a hash table: places that are searched for a cell, from the one that its first name selects on, and
-# places for each cell, at least.
+# Of a hash table: places searched for a cell, from that of its first name on, and places per cell at least.
 _PROBES, _ROOM = 4, 3
 
 
 @dataclass(frozen=True)
 class Points:
-    """N points on surfaces.
-
-    Attributes:
-        position: (N, 3) in world space.
-        normal: (N, 3) unit normals of the side that is lit.
-    """
+    """N points on surfaces: positions (N, 3) in the world, and unit normals (N, 3) of the lit side."""
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
@@ -67,12 +59,7 @@ def joined_points(parts: Sequence[Points]) -> Points:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where cells lie.
-
-    Attributes:
-        origin: (3,) in world space.
-        scale: unit of the cells' sides, a typical distance in the scene.
-    """
+    """Where cells lie: an origin (3,) in the world, and a typical distance there, the unit of their sides."""
 
     origin: NDArray[np.float32]
     scale: float
@@ -97,12 +84,9 @@ Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """C cells of all levels, one level after the other.
+    """C cells of a grid, one level after the other.
 
-    Attributes:
-        grid: where they lie.
-        keys: for each level, (C_l,) names of its cells, sorted.
-        counts: for each level, (C_l,) number of points in each cell.
+    Of each level there are (C_l,) names of its cells, sorted, and (C_l,) numbers of points in them.
     """
 
     grid: Grid
@@ -154,11 +138,6 @@ class Cells:
     def __len__(self) -> int:
         return sum(len(keys) for keys in self.keys)
 
-    @cached_property
-    def names(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """Two names of each cell: one to choose its place in a hash table, one to recognize it there."""
-        return names_of(np.concatenate(self.keys))
-
     def indices(self, points: Points) -> NDArray[np.int64]:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
         start, found = 0, []
@@ -172,7 +151,7 @@ class Cells:
 
 
 def names_of(keys: NDArray[np.uint64]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """The two names (N,) that keys of `Grid.keys` are made of."""
+    """Two names (N,) in keys of `Grid.keys`, to choose places in a table and to recognize cells there."""
     return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
 
 
@@ -216,11 +195,9 @@ def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Where cells are found by their names; open addressing.
+    """Where cells are found by their names, in T places, a power of two; open addressing.
 
-    Attributes:
-        names: (T,) second name of the cell at each place; 0 where there is none. T is a power of two.
-        indices: (T,) index of that cell.
+    Each has the second name and the index of a cell; a name of 0 stands for none.
     """
 
     names: NDArray[np.uint32]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find, names_of
 from pathtrace.cache.light_selection import LightChoice, LightSamples
 from pathtrace.cache.transport import Transfer
 
@@ -63,7 +63,7 @@ class IrradianceCache:
 
     @cached_property
     def _table(self) -> Table:
-        return Table.of(*self.cells.names)
+        return Table.of(*names_of(np.concatenate(self.cells.keys)))
 
     def arrays(self, scene: Any) -> CacheArrays:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
@@ -86,12 +86,7 @@ class IrradianceCache:
 
 @dataclass(frozen=True)
 class CacheArrays:
-    """An irradiance cache as Dr.Jit arrays.
-
-    Attributes:
-        irradiance: for `look_up`.
-        lights: for `Lights`.
-    """
+    """An irradiance cache as Dr.Jit arrays for `look_up` and for `Lights`."""
 
     irradiance: tuple[Any, ...]
     lights: tuple[Any, ...]
@@ -107,8 +102,8 @@ def look_up(
         position, normal: N Mitsuba points and unit normals of the lit side.
         area: (N,) area over which the paths that ask have spread; cells must not be larger.
         segments: (N,) number of segments that these paths may still take, at least 1.
-        jitter: N random points in 0..1: neighbouring cells are chosen by chance near their borders, so that
-            the grid does not show.
+        jitter: N random points in 0..1, by which neighbouring cells are chosen near borders: the grid must
+            not show.
         active: (N,) mask of the paths that ask.
     """
     (origin, scale), table, steps, cells, *channels = arrays
@@ -136,10 +131,8 @@ def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
     diffuse surface, falls towards the peaks of glossy lobes, and is 0 for mirrors and glass. Treating wide
     glossy lobes as diffuse was 3 % too bright beside a floor of rough metal.
 
-    Args:
-        flags: N sets of Mitsuba BSDF flags.
-        wi, wo: directions in the surface's frame.
-        pdf: density with which the surface samples `wo`; 0 for the only direction of a mirror.
+    Given are Mitsuba BSDF flags, directions in the surface's frame, and the density with which the surface
+    samples `wo`; 0 for the only direction of a mirror.
     """
     diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & (wi.z * wo.z > 0)
     even = dr.abs(wo.z) * dr.inv_pi

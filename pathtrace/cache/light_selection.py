@@ -48,12 +48,9 @@ def transmittance(scene: Any, hit: Any, point: Any, active: Any) -> Any:
 
 @dataclass(frozen=True)
 class LightSamples:
-    """Samples of direct light, M in all.
+    """M samples of direct light: indices of their points and lights, and irradiance in any unit, (M,) each.
 
-    Attributes:
-        point: (M,) index of the point that each belongs to.
-        light: (M,) index of the light, each with the same chance.
-        irradiance: (M,) what came from it, in any unit.
+    Each light had the same chance.
     """
 
     point: NDArray[np.int64]
@@ -72,12 +69,9 @@ class LightSamples:
 
 @dataclass(frozen=True, eq=False)
 class LightChoice:
-    """Chances of E lights in R cells.
+    """Chances (R + 1, E) of E lights in R cells of a grid, above 0, with sum 1, by the names of the cells.
 
-    Attributes:
-        grid: of the cells.
-        keys: (R,) names of the cells.
-        chances: (R + 1, E) for each cell, above 0, with sum 1; the last row is for all other places.
+    The last row is for all other places.
     """
 
     grid: Grid

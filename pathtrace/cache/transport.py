@@ -27,12 +27,9 @@ _UNBOUNDED = 32
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """P patches of C cells.
+    """P patches of C cells: (levels, P) indices of the cells in which each lies, one of each level, or -1.
 
-    Attributes:
-        cells: (levels, P) index of the cell of each level that each lies in, ascending with the level; -1 for
-            none.
-        count: C, the number of cells.
+    The indices ascend with the level.
     """
 
     cells: NDArray[np.int32]
@@ -76,13 +73,10 @@ def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np
 
 @dataclass(frozen=True)
 class Links:
-    """M rays from points: what they hit, and what they brought.
+    """M rays from points: (M,) indices of the points, and of the cells that they hit, -1 outside the scene.
 
-    Attributes:
-        point: (M,) index of the point that each ray started at.
-        cell: (M,) cell that it hit; -1 where it left the scene.
-        bounces: (M,) mirrors and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives; 0 where it left the scene.
+    `bounces` (M,) counts mirrors and glass on the way. `reflectance` (M, 3) is the share of the irradiance of
+    what was hit that arrives; 0 where a ray left the scene.
     """
 
     point: NDArray[np.int64]
@@ -173,10 +167,9 @@ class Transport:
     def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
         """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
-        Args:
-            sent: (S, C, 3) irradiance that comes from lights without other cells between; [n] is that of at
-                most n + 1 segments, the last that of all.
-            most: number of segments at most, at least 1; below 0 for no bound.
+        What is sent (S, C, 3) is irradiance that comes from lights without other cells between; [n] is that
+        of at most n + 1 segments, the last that of all. There are `most` segments at most, 1 or more; below 0
+        for no bound.
         """
         return told_apart(self.every(sent, most))
 
@@ -190,10 +183,8 @@ def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
 class Rays:
     """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass.
 
-    Attributes:
-        point: (M,) int32 index of the point that each starts at.
-        square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        weight: (M,) of what it finds: the irradiance that arrives in this way for each unit of radiance.
+    Points are indices (M,); directions lie at squares (M, 2) in 0..1, cosine-weighted around the normal. The
+    weight (M,) of what a ray finds is the irradiance that arrives in this way for each unit of radiance.
     """
 
     point: NDArray[np.int32]

@@ -46,12 +46,9 @@ _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 def describe_capture(
     scene: Scene, views: ViewSet, settings: CaptureSettings, integrator: Integrator
 ) -> dict[str, Any]:
-    """The content of transforms.json.
+    """The content of transforms.json; UserError if more views are held out than may be.
 
     The integrator is that of training frames and estimates; held-out frames are always unbiased.
-
-    Raises:
-        UserError: more views are held out than may be.
     """
     cameras = views.fixed + views.spread
     held_out = _held_out(views, settings.held_out)
@@ -106,11 +103,7 @@ def described_motion(scene: Scene) -> dict[str, Any]:
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
-    """Writes transforms.json and makes the folder of the frames; keeps an equal file.
-
-    Raises:
-        UserError: the folder holds another capture or a damaged file, or cannot be written.
-    """
+    """Writes transforms.json and makes the folder of the frames; keeps an equal file, refuses others."""
     path = folder / "transforms.json"
     text = json.dumps(document, indent=1)
     if not path.is_file():
@@ -240,14 +233,13 @@ def capture(
         (entry["samples"] + sum(e["samples"] for e in entry["estimates"])) * camera.width * camera.height
         for entry, camera in zip(entries, cameras, strict=True)
     ]
-    tracers = [unbiased if entry["held_out"] else quick for entry in document["frames"]]
-    tracers += [quick] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
         seed = settings.seed * _CAPTURE_SEED_STEP + index
+        measures = entry["held_out"] and index < len(document["frames"])
         scene.show(entry["time"])
         _write_estimates(quick, folder, entry, camera, seed)
-        _write_frame(tracers[index], folder, entry, camera, seed)
+        _write_frame(unbiased if measures else quick, folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
 

@@ -61,10 +61,7 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
     """Writes a frame, an estimate as it was traced, or (H, W, 3) linear radiance alone, atomically.
 
     Channels: R, G, B, Z, unfolded.V (32-bit floats), albedo.{R,G,B}, normal.{X,Y,Z} (16-bit floats) and
-    shape.V (unsigned integers, shape index + 1); an estimate has no geometry.
-
-    Raises:
-        UserError: the file cannot be written.
+    shape.V (unsigned integers, shape index + 1); an estimate has no geometry. UserError on failure.
     """
     channels = {}
     for part, values in ({"radiance": content} if isinstance(content, np.ndarray) else vars(content)).items():
@@ -76,14 +73,9 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
 
 
 def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame:
-    """Reads a frame that `write_frame` wrote.
+    """Reads a frame that `write_frame` wrote, which must have a `size`: width and height in pixels.
 
-    Args:
-        path: of the file.
-        size: width and height that the frame must have.
-
-    Raises:
-        UserError: the file is missing, damaged, of another size, or lacks a channel.
+    UserError if the file is missing, damaged, of another size, or lacks a channel.
     """
     return CapturedFrame(**_read(path, size, [field.name for field in fields(CapturedFrame)]))
 
@@ -133,17 +125,10 @@ def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Capture
 def render_with_halves(
     tracer: Tracer, camera: Camera, spp: int, seed: int
 ) -> tuple[CapturedFrame, tuple[Image, Image]]:
-    """A denoised frame, and the two independent halves of its samples.
+    """A denoised frame, and the (H, W, 3) linear radiance of two independent halves of its samples.
 
-    The halves tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018).
-
-    Args:
-        tracer, camera: the view and what traces it.
-        spp: samples per pixel of the frame, at least 2.
-        seed: same seed, same frame and halves.
-
-    Returns:
-        The frame, and (H, W, 3) linear radiance of each half.
+    The halves tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018). There are
+    `spp` samples per pixel, at least 2; same seed, same frame and halves.
     """
     one = trace_frame(tracer, camera, spp - spp // 2, seed)
     other = trace_frame(tracer, camera, spp // 2, seed + _PART_SEED_STEP)
@@ -154,13 +139,9 @@ def render_with_halves(
 def render_estimates(
     tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int, wanted: Container[int] | None = None
 ) -> list[TracedImage]:
-    """Noisy estimates of a view, independent of its frame's samples.
+    """Noisy estimates of a view, independent of its frame's samples; `counts` are samples per pixel.
 
-    Args:
-        tracer, camera: the view and what traces it.
-        counts: samples per pixel of each estimate.
-        seed: same seed and counts, same estimates.
-        wanted: those of the counts that are traced, if not all are.
+    Only those of the counts that are wanted are traced; same seed and counts, same estimates.
     """
     return [
         trace_frame(tracer, camera, count, seed + number * _PART_SEED_STEP)

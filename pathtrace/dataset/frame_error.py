@@ -23,7 +23,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.image.colour import Image, srgb_from_radiance
+from compose.image.colour import Image, srgb_from_radiance, srgb_slope
 from pathtrace.trace.traced_images import TracedImage
 
 # Squared bias over the squared change by twice the samples: of five scenes and 1 to 16 samples per half, 3.8
@@ -47,11 +47,9 @@ _LEAST_ERROR = 1e-12
 class FrameError:
     """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1.
 
-    Attributes:
-        variance: of each denoised half.
-        change: squared change of the denoised frame from half its samples to all of them.
-        product: of the residuals of the halves; squared bias of the halves without bias, may be negative.
-        deviation: standard deviation of the product; inf if it is not known.
+    The variance is that of each denoised half, the change that of the denoised frame from half its samples to
+    all of them. The product of the halves' residuals is their squared bias, without bias, and may be
+    negative; its standard deviation is inf if it is not known.
     """
 
     variance: float
@@ -80,23 +78,19 @@ class FrameError:
 
 
 def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = None) -> FrameError:
-    """Error of a frame that is denoised from two halves of its samples.
+    """Error of a frame that is denoised from two halves of its samples; ValueError if they differ in size.
 
-    A frame traced at once has a little less: its samples are spread more evenly than those of two halves.
-
-    Args:
-        one, other: images of the same view and as many samples, from different seeds.
-        denoised: (H, W, 3) `one.mixed(other, 0.5).denoised()`, if it is there already.
-
-    Raises:
-        ValueError: the images differ in size.
+    A frame traced at once has a little less: its samples are spread more evenly than those of two halves. The
+    halves are of the same view and as many samples, from different seeds. If it is there already, `denoised`
+    is the (H, W, 3) `one.mixed(other, 0.5).denoised()`.
     """
     if one.radiance.shape != other.radiance.shape:
         raise ValueError(f"halves of {one.radiance.shape} and {other.radiance.shape}; must be of one size")
     halves = one.denoised(), other.denoised()
     both = one.mixed(other, 0.5).denoised() if denoised is None else denoised
     mean = np.float32(0.5) * (halves[0] + halves[1])
-    slope = _slope(mean)
+    # Noisy radiance cannot be compared on the curve itself, whose bend would turn its noise into a bias.
+    slope = srgb_slope(mean)
     first, second = (
         np.clip(slope * (clean - noisy.radiance), -_LARGEST_RESIDUAL, _LARGEST_RESIDUAL)
         for clean, noisy in zip(halves, (one, other), strict=True)
@@ -106,12 +100,9 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
 
 
 def mean_frame_error(errors: Sequence[FrameError]) -> FrameError:
-    """The mean error of several frames, more certain than that of any one of them.
+    """The mean error of several frames, more certain than that of any of them; ValueError without a frame.
 
     Its PSNR is that of the mean squared error, not the mean of the PSNRs.
-
-    Raises:
-        ValueError: there are no frames.
     """
     if not errors:
         raise ValueError("no frames to have an error")
@@ -125,15 +116,6 @@ def _squared_distance(one: Image, other: Image) -> float:
     """Mean squared difference of two images' sRGB values."""
     difference = srgb_from_radiance(one) - srgb_from_radiance(other)
     return float(np.mean(np.square(difference), dtype=np.float64))
-
-
-def _slope(radiance: Image) -> NDArray[np.float32]:
-    """By how much sRGB values change with radiance; 0 where they are clipped at 1.
-
-    Noisy radiance cannot be compared on the curve itself, whose bend would turn its noise into a bias.
-    """
-    curve = 1.055 / 2.4 * np.power(np.maximum(radiance, 0.0031308), 1 / 2.4 - 1)
-    return np.where(radiance < 1, np.where(radiance <= 0.0031308, 12.92, curve), 0).astype(np.float32)
 
 
 def _mean_and_deviation(values: NDArray[np.float32]) -> tuple[float, float]:

@@ -87,8 +87,7 @@ class FrameSet:
 def read_frame_set(folder: Path) -> FrameSet:
     """Reads a frame set's transforms.json and checks that every file it names exists.
 
-    Raises:
-        UserError: the folder is not a frame set, has another format version, or its capture is not complete.
+    UserError if the folder is not a frame set, has another format version, or its capture is not complete.
     """
     path = folder / "transforms.json"
     if not path.is_file():
@@ -115,8 +114,7 @@ def read_frame_set(folder: Path) -> FrameSet:
     digest = hashlib.sha256(text.encode()).hexdigest()
     found = FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses, plan)
     files = [file for one in entries + close_ups for file in (one.file, *one.estimates.values(), *one.halves)]
-    missing = [file.name for file in files if not file.is_file()]
-    if missing:
+    if missing := [file.name for file in files if not file.is_file()]:
         raise UserError(
             f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
             "run hybrid capture again with the same settings to resume it"

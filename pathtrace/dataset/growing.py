@@ -37,13 +37,7 @@ LEAST_SPP = 2
 
 @dataclass(frozen=True)
 class Wanted:
-    """A view of a growing frame set.
-
-    Attributes:
-        camera: the view.
-        spp: samples per pixel that it is to have at least, 2 or more.
-        time: that it shows, from 0 to 1, of a scene that moves.
-    """
+    """A view of a growing frame set, at a time from 0 to 1, and its least samples per pixel, 2 or more."""
 
     camera: Camera
     spp: int
@@ -55,19 +49,10 @@ class GrowingFrames:
 
     Every frame is the mean of two independent halves of its samples, denoised together; both are kept, for
     they tell how wrong the frame is (pathtrace.dataset.frame_error), and further samples are added to them.
-    The folder is read by `pathtrace.dataset.frame_set.read_frame_set`, as that of any capture.
+    The folder, created with the first frame, is read by `pathtrace.dataset.frame_set.read_frame_set`, as that
+    of any capture. Same seed and same calls, same frames.
 
-    Args:
-        folder: created with the first frame.
-        tracer: traces the scene.
-        integrator: name of the integrator of that tracer.
-        seed: same seed and same calls, same frames.
-
-    Attributes:
-        scene: that the frames show.
-
-    Raises:
-        UserError: the folder holds other frames, or a damaged description.
+    UserError if the folder holds other frames, or a damaged description.
     """
 
     def __init__(self, folder: Path, tracer: Tracer, integrator: str, seed: int):
@@ -117,12 +102,9 @@ class GrowingFrames:
     def grow(self, wanted: Sequence[Wanted], progress: Callable[[int, int], None]) -> None:
         """Adds the views that are not there yet, and the samples that views lack.
 
-        Args:
-            wanted: all views: those that are there, in their order, and then new ones.
-            progress: called after each view with the number of samples done and their total.
-
-        Raises:
-            UserError: a file cannot be written, or one that is required is damaged.
+        All views are wanted: those that are there, in their order, and then new ones. After each view,
+        progress is told the number of samples done and their total. UserError if a file cannot be written, or
+        one that is required is damaged.
         """
         self._require_same(wanted)
         had = [*self.samples, *[0] * (len(wanted) - len(self._entries))]

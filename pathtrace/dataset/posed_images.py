@@ -30,12 +30,9 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 
 @dataclass(frozen=True)
 class Lens:
-    """How a lens distorts.
+    """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
 
-    Attributes:
-        radial: k1, k2 and k3.
-        tangential: p1 and p2.
-        skew: pixels to the right per unit downwards on the image plane.
+    Skew is in pixels to the right per unit downwards on the image plane.
     """
 
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -56,16 +53,9 @@ class Lens:
 def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Camera, list[Array]]:
     """Images as a camera without a lens would show them, without the margin that the lens did not show.
 
-    Args:
-        camera: the view without distortion, at the size of the images.
-        lens: what they were taken with.
-        images: (H, W) each.
-
-    Returns:
-        The camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
-
-    Raises:
-        ValueError: the distortion is too strong: it folds, or leaves less than half of the frame.
+    Images are (H, W) each, taken with the lens; the camera is the view without distortion, at their size.
+    Returned are the camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
+    ValueError if the distortion is too strong: it folds, or leaves less than half of the frame.
     """
     # Lenses of damaged files overflow, and are refused.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -208,11 +198,7 @@ def read_size(path: Path) -> tuple[int, int]:
 
 
 def read_pixels(image: PosedImage) -> PosedPixels:
-    """The pixels of a posed image.
-
-    Raises:
-        UserError: a file is missing, damaged, or its distortion is too strong to be undone.
-    """
+    """The pixels of a posed image; UserError if a file is missing or damaged, or too distorted."""
     planes = [_decoded(image.file, "RGBA")[..., channel] / 255.0 for channel in range(4)]
     if image.labels is not None:
         labels = _decoded(image.labels, "L")

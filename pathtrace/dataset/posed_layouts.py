@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, claimed_scene, file_inside, one_line
+from compose.base.errors import UserError, claimed_scene, file_inside, one_line, reading
 from compose.base.files import read_json, require_size_below
 from compose.camera.camera import Camera, camera_from_pose
 from compose.camera.coordinate_systems import opencv_from_opengl
@@ -62,9 +62,8 @@ def is_posed_folder(folder: Path) -> bool:
 def read_posed_folder(folder: Path) -> PosedFolder:
     """Reads a folder of posed images, except for the pixels, and checks that all files are there.
 
-    Raises:
-        UserError: the layout is unknown, there is no training image, a file is missing or damaged, or values
-            make no view.
+    UserError if the layout is unknown, there is no training image, a file is missing or damaged, or values
+    make no view.
     """
     points = bounds = None
     if (folder / TRAINING).is_file():
@@ -96,19 +95,13 @@ def _hash(images: list[PosedImage]) -> str:
         state.update(repr((image.camera.key, image.lens, image.time, image.held_out)).encode())
         for file in (image.file, image.labels):
             if file is not None:
-                try:
+                with reading(file):
                     state.update(hashlib.sha256(file.read_bytes()).digest())
-                except OSError as error:
-                    raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     return state.hexdigest()
 
 
 def document(path: Path) -> Any:
-    """The content of a JSON file.
-
-    Raises:
-        UserError: it is missing, cannot be read, or is no JSON.
-    """
+    """The content of a JSON file; UserError if it is missing, cannot be read, or is no JSON."""
     try:
         return read_json(path)
     except FileNotFoundError as error:
@@ -169,8 +162,7 @@ def read_nerfies(
 ) -> tuple[list[PosedImage], NDArray[np.float64] | None, tuple[float, float] | None]:
     """Images, points (M, 3) in the coordinates of their cameras, and the bounds of distances.
 
-    Raises:
-        UserError: a file is missing or damaged, labels are of another size, or values make no view.
+    UserError if a file is missing or damaged, labels are of another size, or values make no view.
     """
     content = document(folder / DATASET)
     with described_by(folder / DATASET):

@@ -47,13 +47,10 @@ def fill_cache(
     progress: Callable[[int, int], None] = lambda done, total: None,
     points: int = POINTS,
 ) -> IrradianceCache:
-    """A cache of the irradiance that paths from some views will ask for.
+    """A cache of the irradiance that paths from some views, at least one, will ask for.
 
-    Args:
-        scene, cameras: the scene and the views, at least one.
-        seed: same seed, same cache on the same machine.
-        progress: called with steps done and steps in all.
-        points: number of points of each generation.
+    Each generation has a number of points. Progress is told the steps done and the steps in all. Same seed,
+    same cache on the same machine.
     """
     random = np.random.default_rng(seed)
     total = _GENERATIONS + 2

@@ -44,10 +44,7 @@ _ANY_AREA = 1e9
 class Followed:
     """What M rays found that were followed through mirrors, glossy surfaces and glass, as Dr.Jit arrays.
 
-    Attributes:
-        radiance, passed, valid, shiny, bounces, reflectance: as in `Seen`.
-        hit: the last surface.
-        side: normal of its lit side.
+    Attributes are those of `Seen`, but for the last surface and the normal of its lit side.
     """
 
     radiance: Any
@@ -68,6 +65,14 @@ def surface_at(position: Any, normal: Any) -> Any:
     return at
 
 
+def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
+    """The same at some places, of which there are all positions and normals."""
+    position, normal = places
+    return surface_at(
+        dr.gather(mi.Point3f, position, index, active), dr.gather(mi.Normal3f, normal, index, active)
+    )
+
+
 def stratified(sampler: Any, lane: Any) -> Any:
     """Random points in the unit square, spread evenly over each SAMPLES lanes."""
     row, column = (lane % SAMPLES) // _STRATA, lane % _STRATA
@@ -82,10 +87,9 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
 
     Args:
         scene: a Mitsuba scene.
-        at: from `surface_at`.
+        at: from `surface_at`; only those that are active count.
         square: where on the lights, each light with the same chance.
         other: where the other ray's direction lies, cosine-weighted around the normal.
-        active: mask of the points.
 
     Returns:
         The irradiance, the part of it by shadow rays, and the numbers by which kernels know their lights.
@@ -107,12 +111,6 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
     return sampled + hits, sampled, registered
 
 
-def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
-    """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
-    radiance, *found = _followed(scene, sampler, _ray(at, square), mi.Bool(active))
-    return Followed(_finite(radiance), *found)
-
-
 def _ray(at: Any, square: Any) -> Any:
     return at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
 
@@ -128,8 +126,9 @@ def _chosen(sampler: Any, part: Any, total: Any) -> Any:
 
 
 @dr.syntax
-def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...]:
-    """The attributes of `Followed`, in their order."""
+def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
+    """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
+    ray, active = _ray(at, square), mi.Bool(active)
     context, passed = mi.BSDFContext(), mi.UInt32(1)
     hit, side = dr.zeros(mi.SurfaceInteraction3f), mi.Normal3f(0)
     throughput, radiance = mi.Color3f(1), mi.Color3f(0)
@@ -175,17 +174,13 @@ def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...
         active = passes & (bounces < _MOST_BOUNCES)
         ray = dr.select(active, hit.spawn_ray(hit.to_world(sample.wo)), ray)
         bounces = dr.select(active, bounces + 1, bounces)
-    return radiance, passed, hit, side, valid, shiny, bounces, dr.select(valid, throughput, 0)
+    reflectance = dr.select(valid, throughput, 0)
+    return Followed(_finite(radiance), passed, hit, side, valid, shiny, bounces, reflectance)
 
 
 @dataclass(frozen=True)
 class Direct:
-    """Light that lights send to N points, by SAMPLES samples at each.
-
-    Attributes:
-        irradiance: (N, 3) from lights.
-        samples: of the lights, by shadow rays.
-    """
+    """Irradiance (N, 3) from lights at N points, by SAMPLES samples of the lights at each."""
 
     irradiance: NDArray[np.float32]
     samples: LightSamples
@@ -198,16 +193,16 @@ class Seen:
     Attributes:
         point: (M,) index of the point that each started at.
         square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one that was
-            hit first.
+        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one hit
+            first.
         passed: (M,) number of such surfaces on the way to these lights, at least 1; of several ways one by
             chance, more likely the one that brought more.
         hits: the M points that they hit last.
         valid: (M,) whether a ray hit a surface that reflects irradiance.
         shiny: (M,) whether the surface that it hit first may show lights.
         bounces: (M,) mirrors, glossy and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point; 0 where it is
-            not valid.
+        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point, if valid; else
+            0.
     """
 
     point: NDArray[np.int64]
@@ -233,18 +228,33 @@ class Seen:
 
 def gather_direct(scene: Any, points: Points, seed: int) -> Direct:
     """Samples the lights of a Mitsuba scene from points; same seed, same samples."""
-    lanes = len(points) * SAMPLES
-    lane = dr.arange(mi.UInt32, lanes)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)
-    at = _surfaces(points, lane // SAMPLES)
-    squares = stratified(sampler, lane), stratified(sampler, lane)
-    irradiance, by_shadow_rays, registered = lit(scene, at, *squares, mi.Bool(True))
-    sampled = dr.mean(by_shadow_rays)
-    dr.eval(irradiance, sampled, registered)
-    means = np.stack([(dr.block_sum(channel, SAMPLES) / SAMPLES).numpy() for channel in irradiance], axis=1)
+    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
+    *means, sampled, registered = sampled_lights(scene, dr.opaque(mi.UInt32, seed), places, len(points))
     light = light_numbers(scene)[registered.numpy()]
-    return Direct(means, LightSamples(np.arange(lanes) // SAMPLES, light, sampled.numpy()))
+    samples = LightSamples(np.arange(len(light)) // SAMPLES, light, sampled.numpy())
+    return Direct(np.stack([channel.numpy() for channel in means], axis=1), samples)
+
+
+def sampled_lights(
+    scene: Any, state: Any, places: tuple[Any, Any], count: int, first: Any = 0, total: Any = None
+) -> tuple[Any, ...]:
+    """Three channels of irradiance at `count` points, that of each sample, and its light's number.
+
+    Points are those from the first on of `total` places, given as their positions and normals.
+    """
+    lane = dr.arange(mi.UInt32, count * SAMPLES)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(state, count * SAMPLES)
+    point = first + lane // SAMPLES
+    active = mi.Bool(True) if total is None else point < total
+    squares = stratified(sampler, lane), stratified(sampler, lane)
+    at = surfaces_at(places, point, active)
+    irradiance, by_shadow_rays, registered = lit(scene, at, *squares, active)
+    samples = [*irradiance, dr.mean(by_shadow_rays), registered]
+    dr.eval(samples)
+    means = [dr.block_sum(channel, SAMPLES) / SAMPLES for channel in samples[:3]]
+    dr.eval(means)
+    return *means, *samples[3:]
 
 
 def gather_seen(
@@ -256,7 +266,8 @@ def gather_seen(
     """
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), len(point))
-    at = _surfaces(points, mi.UInt32(point.astype(np.uint32)))
+    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
+    at = surfaces_at(places, mi.UInt32(point.astype(np.uint32)))
     found = followed(scene, sampler, at, mi.Point2f(square.T), mi.Bool(True))
     position, side = found.hit.p, mi.Vector3f(found.side)
     flags = found.passed, found.valid, found.shiny, found.bounces
@@ -274,12 +285,6 @@ def gather_seen(
     )
 
 
-def _surfaces(points: Points, index: Any) -> Any:
-    """Mitsuba interactions at points, chosen by their indices."""
-    position, normal = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
-    return surface_at(dr.gather(mi.Point3f, position, index), dr.gather(mi.Normal3f, normal, index))
-
-
 def irradiance_over_time(
     scene: Scene,
     cache: IrradianceCache,
@@ -289,19 +294,14 @@ def irradiance_over_time(
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.float32]:
-    """(T, 3, N) irradiance of N points at T times.
+    """(T, 3, N) irradiance of N points, of which (M,) move, at T times from 0 to 1, ascending.
 
-    Light that comes over other surfaces has the irradiance of time 0 there; on what stands still, it is as
-    at time 0. All times have the same random numbers, so that their ratios have less noise than they.
+    Light that comes over other surfaces has the irradiance of time 0 there, which is the cache's; on what
+    stands still, it is as at time 0. All times have the same random numbers, so that their ratios have less
+    noise than they. Same seed, same irradiance on the same machine.
 
-    Args:
-        scene: moves; afterwards it shows the last time.
-        cache: of its irradiance at time 0.
-        points: where the N points are at a time.
-        moving: (M,) which of them move.
-        times: from 0 to 1, ascending.
-        seed: same seed, same irradiance on the same machine.
-        progress: called with times done and their number.
+    `points` says where the N points are at a time, and progress is told the times done and their number.
+    Afterwards the scene shows the last time.
     """
     scene.set_time(0.0)
     indirect = _indirect(scene, cache, points(0.0), seed)

@@ -31,13 +31,10 @@ _TURNED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Light by direction in R regions, found by M rays in even directions.
+    """Light (R, bins) by direction in R regions: sums of what M rays in even directions brought.
 
-    A ray that brought much raises the density of its own direction, which would take weight from it: each
-    ray is weighed by what the other rays found, or the sum would be too small.
-
-    Attributes:
-        light: (R, bins) sums of what the rays of each region brought.
+    A ray that brought much raises the density of its own direction, which would take weight from it: each ray
+    is weighed by what the other rays found, or the sum would be too small.
     """
 
     light: NDArray[np.float64]

@@ -20,7 +20,7 @@ from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightLearning, LightSamples, light_numbers
 from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
 from pathtrace.fill.filling import segments_beyond_cache
-from pathtrace.fill.gather import SAMPLES, followed, lit, stratified, surface_at
+from pathtrace.fill.gather import SAMPLES, followed, sampled_lights, surfaces_at
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.frozen import Frozen
 
@@ -116,11 +116,9 @@ class Spreading:
 class Part:
     """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
 
-    Attributes:
-        points, rays: which of them.
-        sampled: Dr.Jit arrays: of the points' irradiance, of that of each sample, and of its light.
-        shown: Dr.Jit arrays of the irradiance by rays.
-        numbers: index of each light by the number by which kernels know it.
+    As Dr.Jit arrays, `sampled` holds the irradiance of the points, that of each sample, and its light;
+    `shown` the irradiance by rays. `numbers` are the indices of lights, by the numbers by which kernels know
+    them.
     """
 
     points: slice
@@ -182,21 +180,7 @@ class Resampling:
 
     def _of_points(self, scene: Any, state: Any, first: Any, position: Any, normal: Any) -> tuple[Any, ...]:
         """Direct light at points, its samples and their lights; frozen."""
-        lane = dr.arange(mi.UInt32, self._sizes[0] * SAMPLES)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, self._sizes[0] * SAMPLES)
-        point = first + lane // SAMPLES
-        active = point < self._counts[0]
-        at = surface_at(
-            dr.gather(mi.Point3f, position, point, active), dr.gather(mi.Normal3f, normal, point, active)
-        )
-        squares = stratified(sampler, lane), stratified(sampler, lane)
-        irradiance, by_shadow_rays, registered = lit(scene, at, *squares, active)
-        samples = [*irradiance, dr.mean(by_shadow_rays), registered]
-        dr.eval(samples)
-        means = [dr.block_sum(channel, SAMPLES) / SAMPLES for channel in samples[:3]]
-        dr.eval(means)
-        return *means, *samples[3:]
+        return sampled_lights(scene, state, (position, normal), self._sizes[0], first, self._counts[0])
 
     def _of_rays(
         self, scene: Any, state: Any, first: Any, position: Any, normal: Any, *rays: Any
@@ -208,9 +192,7 @@ class Resampling:
         sampler.seed(state, self._sizes[1])
         active = ray < self._counts[1]
         start = dr.gather(mi.UInt32, point, ray, active)
-        at = surface_at(
-            dr.gather(mi.Point3f, position, start, active), dr.gather(mi.Normal3f, normal, start, active)
-        )
+        at = surfaces_at((position, normal), start, active)
         found = followed(scene, sampler, at, dr.gather(mi.Point2f, square, ray, active), active)
         counts = dr.gather(mi.Float, weight, ray, active)
         shown = tuple(dr.select(active, counts * channel, 0) for channel in found.radiance)

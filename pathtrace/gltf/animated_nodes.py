@@ -28,9 +28,8 @@ class Sampler:
         interpolation: LINEAR, STEP or CUBICSPLINE.
         is_rotation: whether values are quaternions (x, y, z, w), which turn at a constant speed.
 
-    Raises:
-        ValueError: times do not ascend, are negative, or are not as many as the values, or a quaternion has
-            no length.
+    ValueError if times do not ascend, are negative, or are not as many as the values, or a quaternion has no
+    length.
     """
 
     times: Array
@@ -106,12 +105,9 @@ class Animation:
 
 
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
-    """The animation of a name or number; by default all that move different things, else the first one.
+    """The animation of a name or number, else all that move different things, else the first one.
 
-    Lines for the user are added to the remarks.
-
-    Raises:
-        UserError: there is none of that name, or it moves what does not exist.
+    Lines for the user are added to the remarks. UserError if there is none, or it moves what does not exist.
     """
     items = document.section("animations")
     names = [str(item.get("name", number)) for number, item in enumerate(items)]
@@ -165,14 +161,9 @@ def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) 
 
 
 class Nodes:
-    """The nodes of a file while an animation plays.
+    """The nodes of a file while an animation plays; UserError if they are not trees.
 
-    Attributes:
-        shown: numbers of the nodes of the scene that is shown, parents first.
-        animation: that plays.
-
-    Raises:
-        UserError: a node has two parents, is its own ancestor, or does not exist.
+    `shown` are the numbers of the nodes of the scene that is shown, parents first.
     """
 
     def __init__(self, document: Document, animation: Animation):
@@ -206,8 +197,7 @@ class Nodes:
 
     def weights(self, node: int, default: Array, times: Array) -> Array:
         """(T, M) of a node's M morph targets; (1, M), the default of its mesh, if nothing else says them."""
-        sampler = self.animation.channels.get((node, "weights"))
-        if sampler is not None:
+        if sampler := self.animation.channels.get((node, "weights")):
             return sampler.at(times)
         return np.atleast_2d(np.asarray(self._items[node].get("weights", default), dtype=np.float64))
 

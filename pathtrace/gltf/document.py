@@ -36,13 +36,7 @@ _MOST_NUMBERS = 1 << 28
 
 @dataclass(frozen=True)
 class Document:
-    """A glTF file.
-
-    Attributes:
-        file: that it was read from.
-        tree: its JSON; what the specification has defaults for is there.
-        buffers: the bytes of each.
-    """
+    """A glTF file: its JSON, with the defaults of the specification, and the bytes of each buffer."""
 
     file: Path
     tree: dict[str, Any]
@@ -54,11 +48,7 @@ class Document:
         return found
 
     def item(self, name: str, index: int | float, user: str) -> dict[str, Any]:
-        """One of a section; `user` is what refers to it, in error messages.
-
-        Raises:
-            UserError: there is none.
-        """
+        """An item of a section, to which `user` refers, in error messages; UserError if there is none."""
         items = self.section(name)
         if not 0 <= index < len(items):
             raise self.refused(f"{user} refers to {name}[{index}]; there are {len(items)}")
@@ -69,11 +59,7 @@ class Document:
         return UserError(f"{self.file}: {one_line(why)}")
 
     def resource(self, uri: str, user: str) -> bytes:
-        """What a URI stands for: data of its own, or a file in the folder of the document.
-
-        Raises:
-            UserError: there is none, or it is elsewhere.
-        """
+        """What a URI stands for: its own data, or a file in the document's folder; UserError for others."""
         folder = self.file.parent
         try:
             if uri.startswith("data:"):
@@ -89,12 +75,7 @@ class Document:
 
 
 def read_document(file: Path) -> Document:
-    """Reads a glTF 2.0 file and all of its buffers.
-
-    Raises:
-        UserError: it cannot be read, is no glTF 2.0, requires an extension that is not known here, or lacks
-            a buffer.
-    """
+    """Reads a glTF 2.0 file and its buffers; UserError if one cannot be read, or it needs what is unknown."""
     try:
         require_size_below(file, _MOST_BYTES)
         text, binary = _parts(file.read_bytes())
@@ -105,8 +86,7 @@ def read_document(file: Path) -> Document:
     version = asset.get("version") if isinstance(asset, dict) else None
     if not isinstance(version, str) or version.split(".")[0] != "2":
         raise UserError(f"{file}: is no glTF 2.0; its asset.version is {one_line(repr(version))}")
-    unknown = [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]
-    if unknown:
+    if unknown := [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]:
         raise UserError(
             f"{file}: requires the extension {one_line(str(unknown[0]))}, which is not known here"
         )
@@ -172,9 +152,7 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
     """The (N, columns) numbers of an accessor; integers that stand for fractions are these fractions.
 
     Columns are those that it must have, or may have; the user, in error messages, is what refers to it.
-
-    Raises:
-        UserError: there is none, it has other columns, lies outside of its buffer, or holds NaN or infinity.
+    UserError if there is none, it has other columns, lies outside of its buffer, or holds NaN or infinity.
     """
     accessor, name = document.item("accessors", index, user), f"accessors[{index}] of {user}"
     found = _COLUMNS.get(accessor["type"])

@@ -21,7 +21,7 @@ from compose.base.files import PART_PREFIX, write_whole
 from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
 from pathtrace.gltf.document import EXTENSIONS, Document, read_document
-from pathtrace.gltf.lights import Light, brightness, camera, constant_light, read_lights
+from pathtrace.gltf.lights import Light, brightness, camera, read_lights
 from pathtrace.gltf.materials import Materials, Textures, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
 from pathtrace.gltf.movement import (
@@ -43,15 +43,10 @@ _DEPTH = 8
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written.
+    """What was written: the XML file, and of how much, with remarks about what is not as in the file.
 
-    Attributes:
-        scene: the XML file.
-        triangles: at one time.
-        rigid: number of shapes and lights that move rigidly.
-        deforming: number of shapes that deform.
-        seconds: that the animation takes; 0 if nothing moves.
-        remarks: lines about what is not as in the file.
+    Triangles are those at one time; shapes and lights move rigidly, other shapes deform; the animation takes
+    some seconds, 0 if nothing moves.
     """
 
     scene: Path
@@ -63,17 +58,11 @@ class Imported:
 
 
 def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: str | None = None) -> Imported:
-    """Imports a glTF file; the folder appears whole or not at all.
+    """Imports a .gltf or .glb file; the folder, which must be missing or empty, appears whole or not at all.
 
-    Args:
-        file: .gltf or .glb.
-        folder: to write; must not exist, or be empty.
-        fps: steps of time a second in which meshes that deform are written.
-        animation: name or number of the one to play; without it, all that move different things, else the
-            first one.
-
-    Raises:
-        UserError: the file is damaged, or needs what is not known here; or the folder cannot be written.
+    Meshes that deform are written in `fps` steps of time a second. The animation, by name or number, is the
+    one to play; without it, all play that move different things, else the first one. UserError if the file is
+    damaged, or needs what is not known here; or the folder cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: exists already; name another folder, or remove it")
@@ -124,8 +113,7 @@ class _Import:
         deforming = sum("meshes" in track for track in self._tracks.values())
         seconds = self._nodes.animation.seconds if self._tracks else 0.0
         if self._tracks:
-            motion = {"seconds": seconds, "shapes": self._tracks}
-            _write_text(self._folder / _MOTION, json.dumps(motion, indent=1) + "\n")
+            self._write(_MOTION, json.dumps({"seconds": seconds, "shapes": self._tracks}, indent=1) + "\n")
         left_out = sorted(set(self._document.tree.get("extensionsUsed", [])) - set(EXTENSIONS))
         self._remarks += [f"the extension {name} is left out" for name in left_out]
         triangles = sum(len(primitive.faces) for primitive in primitives)
@@ -140,36 +128,31 @@ class _Import:
         root.extend(shapes)
         root.extend(self._lights(bounds))
         ET.indent(root, "\t")
-        _write_text(self._folder / _SCENE, ET.tostring(root, encoding="unicode") + "\n")
+        self._write(_SCENE, ET.tostring(root, encoding="unicode") + "\n")
 
     def _shape(self, primitive: Primitive, movement: Movement) -> ET.Element:
         """A shape, its mesh files and its track."""
         name = self._name(primitive.name)
         user = f"the material of {primitive.name}"
-        has_texture = "baseColorTexture" in self._pbr(primitive, user)
-        colours = None if has_texture else primitive.colours
+        pbr = self._materials.item(primitive.material, user).get("pbrMetallicRoughness", {})
+        colours = None if "baseColorTexture" in pbr else primitive.colours
         if colours is not None:
-            factor = self._pbr(primitive, user).get("baseColorFactor", [1, 1, 1])
-            colours = colours * np.array(factor[:3])
+            colours = colours * np.array(pbr.get("baseColorFactor", [1, 1, 1])[:3])
         faces = self._faces(primitive)
         uvs = primitive.uvs.get(self._materials.uv_set(primitive.material, user))
-        write_mesh(self._file(name), faces, movement.rest, self._normals(primitive), uvs, colours)
+        file = f"{_MESHES}/{name}.ply"
+        write_mesh(self._folder / file, faces, movement.rest, self._normals(primitive), uvs, colours)
         if len(movement.meshes):
             self._tracks[name] = {"meshes": self._sequence(name, primitive, movement)}
         elif movement.keyframes:
             self._tracks[name] = as_json(movement.keyframes, movement.about)
-        shape = plugin("shape", "ply", value("string", "filename", f"{_MESHES}/{name}.ply"), id=name)
+        shape = plugin("shape", "ply", value("string", "filename", file), id=name)
         if primitive.normals is None:
             shape.append(value("boolean", "face_normals", "true"))
         shape.append(self._materials.reference(primitive.material, colours is not None, user))
-        emitter = self._materials.emitter(primitive.material, user)
-        if emitter is not None:
+        if (emitter := self._materials.emitter(primitive.material, user)) is not None:
             shape.append(emitter)
         return shape
-
-    def _pbr(self, primitive: Primitive, user: str) -> dict[str, Any]:
-        found: dict[str, Any] = self._materials.item(primitive.material, user).get("pbrMetallicRoughness", {})
-        return found
 
     def _faces(self, primitive: Primitive) -> NDArray[np.int64]:
         """(F, 3); a node that mirrors turns fronts to the back, if nothing turns them again (3.7.4)."""
@@ -186,16 +169,17 @@ class _Import:
 
     def _sequence(self, name: str, primitive: Primitive, movement: Movement) -> list[str]:
         """Names of the mesh files of what deforms."""
-        names = [f"{name}-{step:04d}" for step in range(len(movement.meshes))]
-        for step, vertices in zip(names, movement.meshes, strict=True):
-            write_mesh(self._file(step), self._faces(primitive), vertices)
-        return [f"{_MESHES}/{step}.ply" for step in names]
+        files = [f"{_MESHES}/{name}-{step:04d}.ply" for step in range(len(movement.meshes))]
+        for file, vertices in zip(files, movement.meshes, strict=True):
+            write_mesh(self._folder / file, self._faces(primitive), vertices)
+        return files
 
     def _lights(self, bounds: Array) -> list[ET.Element]:
         lights = read_lights(self._document, self._nodes)
         if not lights:
             self._remarks.append("the file has no lights; light comes from all directions")
-            return [constant_light()]
+            white = value("rgb", "radiance", [1.0, 1.0, 1.0])
+            return [plugin("emitter", "constant", white, id="surroundings")]
         scale = brightness(lights, self._to_world, bounds)
         if scale != 1:
             self._remarks.append(
@@ -227,9 +211,5 @@ class _Import:
         self._names.add(name.lower())
         return name
 
-    def _file(self, name: str) -> Path:
-        return self._folder / _MESHES / f"{name}.ply"
-
-
-def _write_text(file: Path, text: str) -> None:
-    write_whole(file, lambda part: part.write_text(text, encoding="utf-8"))
+    def _write(self, name: str, text: str) -> None:
+        write_whole(self._folder / name, lambda part: part.write_text(text, encoding="utf-8"))

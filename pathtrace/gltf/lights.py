@@ -25,13 +25,10 @@ _FOV = 45.0
 
 @dataclass(frozen=True)
 class Light:
-    """A light without a shape.
+    """A light without a shape, point, spot or directional, which shines along the negative z of its node.
 
-    Attributes:
-        node: that it follows; lights shine along its negative z.
-        kind: point, spot or directional.
-        colour: (3,) times intensity: candela, or lux of a directional light.
-        cone: inner and outer angle of a spot, degrees from its axis.
+    Its colour (3,) is times intensity: candela, or lux of a directional light. The cone of a spot is its
+    inner and outer angle, in degrees from its axis.
     """
 
     node: int
@@ -64,11 +61,7 @@ class Light:
 
 
 def read_lights(document: Document, nodes: Nodes) -> list[Light]:
-    """The lights of the nodes that are shown.
-
-    Raises:
-        UserError: one is damaged, or of a kind that the extension does not have.
-    """
+    """The lights of the nodes that are shown; UserError if one is damaged, or of an unknown kind."""
     found = []
     items = document.tree.get("extensions", {}).get(_EXTENSION, {}).get("lights", [])
     for node in nodes.shown:
@@ -104,21 +97,13 @@ def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> 
     return _WHITE / given if given > _TOO_BRIGHT * _WHITE else 1.0
 
 
-def constant_light() -> ET.Element:
-    """Light from all directions alike, of files without lights."""
-    return plugin("emitter", "constant", value("rgb", "radiance", [1.0, 1.0, 1.0]), id="surroundings")
-
-
 def camera(
     document: Document, nodes: Nodes, to_world_of: list[Array], bounds: Array, remarks: list[str]
 ) -> ET.Element:
     """The first perspective camera of a file, else one that sees everything from the front.
 
-    Args:
-        document, nodes: the file and its nodes.
-        to_world_of: (T, 4, 4) of each node, the first being at time 0.
-        bounds: (2, 3) lowest and highest corner of what is seen at any time.
-        remarks: lines for the user are added to them.
+    Given are (T, 4, 4) to_world of each node, the first at time 0, and the (2, 3) lowest and highest corner
+    of what is seen at any time. Lines for the user are added to the remarks.
     """
     for node in nodes.shown:
         item = document.section("nodes")[node]

@@ -17,7 +17,7 @@ from PIL import Image as PillowImage
 
 from compose.base.files import write_whole
 from compose.camera.camera import Array
-from compose.image.colour import bytes_from_radiance
+from compose.image.colour import bytes_from_radiance, radiance_from_srgb
 from compose.image.exr import write_channels
 from pathtrace.gltf.document import Document, read_view
 
@@ -61,11 +61,7 @@ class Textures:
         self._written = 0
 
     def pixels(self, info: dict[str, Any], user: str) -> Array:
-        """(H, W, 4) red, green, blue and alpha of a texture, 0 to 1, as its file has them.
-
-        Raises:
-            UserError: there is no such texture, or its image cannot be read.
-        """
+        """(H, W, 4) red, green, blue, alpha of a texture, 0 to 1, as in its file; UserError if unreadable."""
         texture = self._document.item("textures", info["index"], user)
         if "source" not in texture:
             raise self._document.refused(f"{user}: textures[{info['index']}] has no image that is known here")
@@ -113,16 +109,10 @@ class Textures:
         return plugin("texture", "bitmap", value("string", "filename", file), is_raw, wrap, name=name)
 
 
-def linear(srgb: Array) -> Array:
-    """Linear colour from the sRGB curve (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
 class Materials:
     """The materials of a file, as Mitsuba's elements; lines for the user are added to the remarks.
 
-    Attributes:
-        bsdfs: all that shapes refer to, by the number of their material and whether vertices have colours.
+    `bsdfs` has all that shapes refer to, by the number of their material and whether vertices have colours.
     """
 
     def __init__(self, document: Document, textures: Textures, remarks: list[str]):
@@ -163,7 +153,7 @@ class Materials:
         if "emissiveTexture" not in item:
             return plugin("emitter", "area", value("rgb", "radiance", factor))
         info = item["emissiveTexture"]
-        radiance = linear(self._textures.pixels(info, user)[..., :3]) * factor
+        radiance = radiance_from_srgb(self._textures.pixels(info, user)[..., :3]) * factor
         if not radiance.any():
             return None
         return plugin("emitter", "area", self._textures.radiance("radiance", info, radiance))
@@ -175,7 +165,8 @@ class Materials:
         if info is not None:
             pixels = self._textures.pixels(info, name)
             alpha = pixels[..., 3] * base[3]
-            colour = self._textures.colour("base_color", info, linear(pixels[..., :3]) * base[:3])
+            radiance = radiance_from_srgb(pixels[..., :3]) * base[:3]
+            colour = self._textures.colour("base_color", info, radiance)
         elif coloured:
             attribute = value("string", "name", "vertex_color")
             colour = plugin("texture", "mesh_attribute", attribute, name="base_color")

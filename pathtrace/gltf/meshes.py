@@ -26,13 +26,10 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 @dataclass(frozen=True)
 class Skin:
-    """How vertices follow joints (3.7.3).
+    """How vertices follow joints (3.7.3), J nodes by their numbers.
 
-    Attributes:
-        joints: (J,) numbers of the nodes.
-        to_joints: (J, 4, 4) inverse bind matrices, from the mesh at rest to each joint.
-        which: (V, K) joints of each vertex, as indices of `joints`.
-        shares: (V, K) how much it follows each; their sum is 1.
+    Inverse bind matrices (J, 4, 4) lead from the mesh at rest to each joint. Each vertex follows K joints,
+    (V, K) indices of these, with shares whose sum is 1.
     """
 
     joints: list[int]
@@ -98,11 +95,7 @@ def _row(values: Array, time: int) -> int:
 
 
 def read_primitives(document: Document, nodes: Nodes, remarks: list[str]) -> list[Primitive]:
-    """All triangles that are shown; lines for the user are added to the remarks.
-
-    Raises:
-        UserError: an attribute is missing, or damaged, or a mesh is degenerate.
-    """
+    """All triangles that are shown, and remarks about what is not; UserError if a mesh is damaged or flat."""
     found = []
     for node in nodes.shown:
         item = document.section("nodes")[node]
@@ -219,15 +212,11 @@ def write_mesh(
     uvs: Array | None = None,
     colours: Array | None = None,
 ) -> None:
-    """Writes a mesh; the order of its vertices is kept.
+    """Writes a mesh to a .ply file; the order of its vertices is kept.
 
-    Args:
-        file: a .ply file.
-        faces: (F, 3) indices of vertices.
-        positions: (V, 3).
-        normals: (V, 3), unit; by default none are written.
-        uvs: (V, 2), v from the top of the image, as Mitsuba has it; likewise.
-        colours: (V, 3), linear, which Mitsuba calls `vertex_color`; likewise.
+    Faces (F, 3) are indices of vertices, at positions (V, 3). If there are any, normals (V, 3) are unit
+    vectors; uvs (V, 2) have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear,
+    Mitsuba's `vertex_color`.
     """
     has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
     mesh = mi.Mesh(file.stem, len(positions), len(faces), **has)

@@ -51,14 +51,10 @@ def without_scale(poses: Array) -> Array:
 def keyframes_of(times: Array, poses: Array, about: Array, corners: Array) -> list[Keyframe]:
     """The fewest keyframes, found greedily, that bring a shape where poses bring it.
 
-    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe as well
-    (Ramer 1972, Douglas and Peucker 1973).
-
-    Args:
-        times: (T,) from 0 to 1, ascending.
-        poses: (T, 4, 4) rigid transforms from rest.
-        about: (3,) the point that the shape turns around.
-        corners: (N, 3) points of the shape at rest, whose ways are compared.
+    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe as well (Ramer
+    1972, Douglas and Peucker 1973). The poses (T, 4, 4) are rigid transforms from rest at times (T,) from 0
+    to 1, ascending; the shape turns about a point (3,), and its corners (N, 3) at rest are those whose ways
+    are compared.
     """
     keys = [_keyframe(time, pose, about) for time, pose in zip(times, poses, strict=True)]
     wanted = _moved(poses, corners)
@@ -120,11 +116,9 @@ class Movement:
 
 @dataclass(frozen=True)
 class Times:
-    """When a scene is looked at, in seconds.
+    """When a scene is looked at, in seconds: (T,) dense times and (E,) even ones.
 
-    Attributes:
-        dense: (T,) equal steps, all keyframes and moments before steps.
-        even: (E,) equal steps.
+    The dense ones are the equal steps of the even ones, all keyframes and moments before steps.
     """
 
     dense: Array
@@ -137,11 +131,7 @@ class Times:
 
 
 def times_of(nodes: Nodes, fps: float) -> Times:
-    """When to look at nodes while their animation plays.
-
-    Raises:
-        UserError: that is too often.
-    """
+    """When to look at nodes while their animation plays; UserError if that is too often."""
     seconds = nodes.animation.seconds
     if seconds * fps * len(nodes) > _MOST_POSES:
         raise UserError(f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long")
@@ -184,11 +174,7 @@ def deforms(primitive: Primitive, nodes: Nodes, to_world: list[Array]) -> bool:
 
 
 def require_few(primitives: list[Primitive], nodes: Nodes, times: Times, to_world: list[Array]) -> None:
-    """Refuses sequences of meshes that no disk and no memory should hold.
-
-    Raises:
-        UserError: there would be too many.
-    """
+    """UserError for more sequences of meshes than a disk or memory should hold."""
     steps = len(times.even)
     vertices = steps * sum(len(p.positions) for p in primitives if deforms(p, nodes, to_world))
     if vertices > _MOST_VERTICES:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
 from compose.camera.camera import Array, Camera, look_at, turned
 from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
@@ -47,11 +47,9 @@ _BALL_TRIES = 8
 
 @dataclass(frozen=True)
 class CameraPath:
-    """A camera's path, in the coordinates of the scene's file.
+    """A camera's path in the coordinates of the scene's file: poses (4, 4) camera-to-world, OpenCV axes.
 
-    Attributes:
-        poses: at least one, (4, 4) camera-to-world each, OpenCV axes.
-        radius: of the space around it; None to leave the choice to the region.
+    Without a radius of the space around it, the region chooses one.
     """
 
     poses: list[Array]
@@ -59,15 +57,9 @@ class CameraPath:
 
 
 def read_path(file: Path, up: Array) -> CameraPath:
-    """The path that a file holds; `up` (3,) is what is up where a pose does not say so.
-
-    Raises:
-        UserError: the file cannot be read, or is not a path.
-    """
-    try:
+    """The path in a file, in which `up` (3,) is up unless a pose says otherwise; UserError if it is none."""
+    with reading(file):
         document = read_json(file, _MOST_BYTES)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list) or not frames:
         raise UserError(f"{file}: is not a camera path; must be JSON with a list of poses under frames")
@@ -109,17 +101,11 @@ def _point(frame: dict[str, Any], name: str) -> Array:
 
 
 class PathRegion(DrawnRegion):
-    """The space around a camera's path.
+    """The space around a camera's path, which has poses in the coordinates of the scene's file.
 
-    Args:
-        scene, surfaces: the scene and its surfaces.
-        path: the poses, in the coordinates of the scene's file, and the radius of what belongs to the region
-            around them: without one, an eighth of the distance to what the cameras see.
-        name: of the file.
-
-    Raises:
-        UserError: a pose lies on a surface, or a surface lies between it and the pose before; or the path
-            sees no surface.
+    Without a radius of what belongs to the region around them, that is an eighth of the distance to what the
+    cameras see. The name is that of the file. UserError if a pose lies on a surface, or a surface lies
+    between it and the pose before; or the path sees no surface.
     """
 
     _views = "along the path"

@@ -16,12 +16,7 @@ _UPRIGHT = 0.65
 
 @dataclass(frozen=True)
 class Looks:
-    """Views.
-
-    Attributes:
-        positions: (N, 3) in world space.
-        rotations: (N, 3, 3) camera-to-world, OpenCV axes.
-    """
+    """Views: positions (N, 3) in the world, and (N, 3, 3) camera-to-world rotations, OpenCV axes."""
 
     positions: Array
     rotations: Array

@@ -204,13 +204,10 @@ def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) ->
 
 @dataclass(frozen=True)
 class ViewSet:
-    """Chosen cameras.
+    """Chosen cameras, and the times from 0 to 1 that all of them show, the fixed ones first.
 
-    Attributes:
-        fixed: the scene's own camera, then the same turned to the border of what the others see.
-        spread: spread evenly over positions and directions, or along a path; any of them may be held out of
-            training.
-        times: that all of them show, from 0 to 1, the fixed ones first; 0 if nothing moves.
+    Fixed are the scene's own camera, then the same turned to the border of what the others see. The others
+    are spread evenly over positions and directions, or along a path; any of them may be held out of training.
     """
 
     fixed: list[Camera]
@@ -230,16 +227,10 @@ def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
-    """Views around the scene's own camera.
+    """Views around the scene's own camera, `count` in all; with 16 or fewer, only that camera is fixed.
 
-    Args:
-        scene, surfaces: the scene and its surfaces.
-        count: number of views in all; with 16 or fewer, only the scene's own camera is fixed.
-        width, height: frame size in pixels.
-        seed: same seed, same views.
-
-    Raises:
-        UserError: the scene's own camera sees no surface, or there is no free space for that many views.
+    Frames have a width and height in pixels; same seed, same views. UserError if the scene's own camera sees
+    no surface, or there is no free space for that many views.
     """
     neighbourhood = Neighbourhood.of(scene, surfaces, width, height)
     fixed = [neighbourhood.home]

@@ -88,7 +88,7 @@ class Measures:
         """The measures around a camera; None if it sees no surface."""
         small = home.resized(12, 12)
         rays = small.rays(small.pixel_centres())
-        depth = surfaces.distance(np.repeat(home.position[None], len(rays), axis=0), rays)
+        depth = surfaces.around(home.position[None], rays)[0]
         rays, depth = rays[np.isfinite(depth)], depth[np.isfinite(depth)]
         if not len(depth):
             return None
@@ -109,11 +109,8 @@ class Measures:
 class FreeSpace:
     """The space that can be reached from a camera, given the measures of the space around it.
 
-    Attributes:
-        nodes: (N, 3) centres of the lattice's cells that can be reached; the camera's own is not among them
-            if surfaces are too near.
-        spacing: of the lattice.
-        radius: of the viewer.
+    Nodes (N, 3) are centres of those of a lattice's cells that can be reached; the camera's own is not among
+    them if surfaces are too near. The spacing is the lattice's, the radius the viewer's.
     """
 
     def __init__(self, surfaces: Surfaces, home: Camera, measures: Measures):
@@ -235,14 +232,9 @@ def _key(nodes: _Nodes) -> _Nodes:
 
 
 class ReachableRegion(DrawnRegion):
-    """The reachable space of a scene, with its surfaces.
+    """The reachable space of a scene, as a lattice, with its surfaces.
 
-    Attributes:
-        name: "reachable".
-        space: the lattice of what can be reached.
-
-    Raises:
-        UserError: the scene's own camera sees no surface, or a viewer has no space there.
+    UserError if the scene's own camera sees no surface, or a viewer has no space there.
     """
 
     name = "reachable"

@@ -12,8 +12,7 @@ _Indices = NDArray[np.int64]
 
 # Frame in which coverage is looked up: 16 by 9 rays, or as many in other shapes.
 _RAYS = 144
-# Where nothing is seen, a point so far away, in units of the distances between views, that only its direction
-# counts.
+# Where nothing is seen, a point so far away, in distances between views, that only its direction counts.
 _SKY = 1e5
 # From a point back to a view, rays end this share of the way before the point: it lies on a surface.
 _TOUCH = 1e-3
@@ -27,10 +26,6 @@ class ViewCoverage:
     A view covers a point if the point lies in its frame, nothing hides it, and the pixels there are fine
     enough. Resolutions are compared as if all frames had the height of the views': how many pixels a display
     has is not for a region to judge, how near its views came to a surface is. Reflections do not count.
-
-    Args:
-        surfaces: the scene's surfaces.
-        cameras: the views, in the scene's coordinates.
     """
 
     def __init__(self, surfaces: Surfaces, cameras: list[Camera]):

@@ -36,8 +36,7 @@ _VIEWERS, _CANDIDATES, _ROUND = 768, 768, 192
 _SIDE = 20
 # What a further view of the same is worth.
 _AGAIN = 0.4
-# Levels of resolution: log2 of frame heights per unit of length, in steps of a half. So many levels below
-# what is asked for will do.
+# Levels per octave of resolution (frame heights per unit of length), and how many too low will do.
 _PER_OCTAVE, _COARSER = 2.0, 2
 _LOWEST, _LEVELS = -64, 128
 # Cells along each axis that a key can tell apart; farther ones share theirs.
@@ -45,11 +44,7 @@ _CELLS = 1 << 16
 
 
 class DrawnRegion(ABC):
-    """A region whose views are drawn at random; of many, those are trained on that show most of what is new.
-
-    Attributes:
-        name: what users call it.
-    """
+    """A region whose views are drawn at random; training gets those that show most of what is new."""
 
     name: str
     _scene: Scene
@@ -137,11 +132,8 @@ class Selection:
     ) -> list[Camera]:
         """Views, best first; the first views are the same whatever their number.
 
-        Args:
-            count: number of views.
-            first: views that are taken without a choice.
-            like: has the intrinsics of the others.
-            draw: gives candidates, at least one, from a number and the index of the round.
+        The `first` are taken without a choice; the others have the intrinsics of `like`, and are chosen from
+        the candidates, at least one, that `draw` gives from a number and the index of the round.
         """
         views = list(first[:count])
         lacking = self._weight.copy()

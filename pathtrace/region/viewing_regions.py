@@ -34,32 +34,22 @@ class ViewingRegion(Protocol):
         """What tells it from other regions of the same scene, as JSON."""
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on; the first of them are the same whatever their number.
+        """Views to train on, of a size in pixels; UserError if there is no free space for them.
 
-        Args:
-            count: number of views.
-            width, height: frame size in pixels.
-            seed: same seed, same views.
-
-        Raises:
-            UserError: there is no free space for them.
+        The first of them are the same whatever their number; same seed, same views.
         """
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Held-out validation views, drawn apart from those to train on; args and raises as in `views`."""
+        """Held-out validation views, drawn apart from those to train on; otherwise as `views`."""
 
 
 def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
     """The region that a user asks for.
 
-    Args:
-        scene, surfaces: the scene and its surfaces.
-        given: "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach
-            from there, or the name of a file with a camera's path (pathtrace.region.camera_path).
-
-    Raises:
-        UserError: there is no such region or file, the file is broken, the path leaves the free space, the
-            scene's own camera sees nothing, or there is no free space around it.
+    That is "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach from
+    there, or the name of a file with a camera's path (pathtrace.region.camera_path). UserError if there is no
+    such region or file, the file is broken, the path leaves the free space, the scene's own camera sees
+    nothing, or there is no free space around it.
     """
     if given == NEAR:
         return NearRegion(scene, surfaces)

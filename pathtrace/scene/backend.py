@@ -20,13 +20,7 @@ _FEWEST_THREADS = 2
 
 @dataclass(frozen=True)
 class Backend:
-    """The selected backend.
-
-    Attributes:
-        variant: the Mitsuba variant.
-        llvm: the LLVM that compiles its kernels; None on CUDA.
-        reason: why it was selected, for people.
-    """
+    """The selected Mitsuba variant, the LLVM that compiles for it (None on CUDA), and, for people, why."""
 
     variant: str
     llvm: Llvm | None

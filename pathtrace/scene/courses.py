@@ -58,11 +58,7 @@ def course_of_poses(name: str, shape: int, poses: Array, centre: Array) -> Cours
 
 
 def course_from_json(content: dict[str, Any]) -> Course:
-    """The course that `as_json` described.
-
-    Raises:
-        KeyError, TypeError, ValueError: it describes none.
-    """
+    """The course that `as_json` described; KeyError, TypeError or ValueError if there is none."""
     rotations, centre, shifts = (
         np.asarray(content[name], dtype=np.float64) for name in ("rotations", "centre", "shifts")
     )
@@ -89,9 +85,8 @@ def spread_over_faces(
 ) -> tuple[NDArray[np.int64], Array]:
     """Points that are evenly spread over the faces (F, 3) of a mesh (V, 3), always the same ones.
 
-    Returns:
-        (N, 3) indices of the vertices around each point, and (N, 3) its shares of them, whose sum is 1; N is
-        `count`, or 0 if no face has an area.
+    Given as (N, 3) indices of the vertices around each, and (N, 3) its shares of them, whose sum is 1; N is
+    `count`, or 0 if no face has an area.
     """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -21,13 +21,7 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class Difficulty:
-    """A cause of noise.
-
-    Attributes:
-        kind: "panes" or "caustics".
-        causes: names of the BSDFs or shapes.
-        remedy: what can be had, in words.
-    """
+    """A cause of noise, "panes" or "caustics": names of the BSDFs or shapes, and a remedy in words."""
 
     kind: str
     causes: tuple[str, ...]
@@ -85,8 +79,7 @@ def _sends_narrow_light(scene: Any) -> bool:
     for emitter in scene.emitters():
         if "sky" in str(emitter).lower().partition("[")[0]:
             return True
-        shape = emitter.get_shape()
-        if shape is not None:
+        if (shape := emitter.get_shape()) is not None:
             area = float(np.ravel(shape.surface_area())[0])
             power = area * _radiance(emitter)
             total += power

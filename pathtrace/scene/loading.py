@@ -146,12 +146,9 @@ def _of_type(properties: Any, kind: Any) -> list[str]:
 
 @dataclass(frozen=True)
 class Source:
-    """What a scene is loaded from.
+    """What a scene is loaded from: XML text, whose files are relative to a folder, or a dictionary.
 
-    Attributes:
-        name: in error messages.
-        content: XML text, or a scene dictionary.
-        folder: that files in the XML are relative to.
+    The name stands in error messages.
     """
 
     name: str
@@ -165,10 +162,8 @@ def load_mitsuba_in_place(
     """A Mitsuba scene in coordinates of its own: its origin is the first camera, its unit that of length.
 
     Also returns its place, and the step of float32 at vertices that a mesh file holds far from the origin;
-    `apart` is as in `load_mitsuba`.
-
-    Raises:
-        UserError: Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
+    `apart` is as in `load_mitsuba`. UserError if Mitsuba refuses the scene, or it has a part that cannot be
+    moved or scaled.
     """
     place, step = WORLD, 0.0
 
@@ -193,10 +188,8 @@ def load_mitsuba_in_place(
 def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     """A Mitsuba scene, whose meshes Mitsuba merges, by which tracing is twice as fast.
 
-    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids.
-
-    Raises:
-        UserError: Mitsuba refuses it, or it is not a scene.
+    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids. UserError if Mitsuba
+    refuses it, or it is not a scene.
     """
     if apart:
         return _parsed(source, apart, lambda state: None)
@@ -282,8 +275,7 @@ def _in(folder: Path, load: Callable[[], Any]) -> Any:
 def camera_of_sensor(sensor: Any, source: str) -> Camera:
     """The camera of a perspective sensor, at the size of its film; `source` stands in error messages.
 
-    Raises:
-        UserError: the sensor is not a perspective one, or its to_world mirrors or shears.
+    UserError if the sensor is not a perspective one, or its to_world mirrors or shears.
     """
     parameters = mi.traverse(sensor)
     if "x_fov" not in parameters:
@@ -304,10 +296,8 @@ def in_good_coordinates(
 ) -> tuple[Any, Camera, Place]:
     """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
 
-    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba`.
-
-    Raises:
-        UserError: the scene cannot be moved or scaled as far as it would have to be.
+    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba`. UserError
+    if the scene cannot be moved or scaled as far as it would have to be.
     """
     if _is_ordinary(loaded, camera):
         return loaded, camera, WORLD

@@ -20,35 +20,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
-from pathtrace.scene.tracks import (
-    Brightness,
-    Formula,
-    Keyframe,
-    LightTrack,
-    MeshTrack,
-    RigidTrack,
-    SceneMotion,
-    ShapeTrack,
-)
+from pathtrace.scene import tracks
 
 _MOST_BYTES = 1 << 24
 _DEFAULT_SECONDS = 1.0
 _Track = TypeVar("_Track")
 
 
-def read_motion(file: Path) -> SceneMotion:
-    """The motion that a file holds.
-
-    Raises:
-        UserError: the file cannot be read, is no motion, or names a mesh that cannot be read.
-    """
-    try:
+def read_motion(file: Path) -> tracks.SceneMotion:
+    """The motion in a file; UserError if that, or a mesh in it, cannot be read, or it is no motion."""
+    with reading(file):
         document = read_json(file, _MOST_BYTES)
         digest = hashlib.sha256(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     shapes, lights = _section(file, document, "shapes"), _section(file, document, "lights")
     if not shapes and not lights:
         raise UserError(f"{file}: nothing moves; must have tracks under shapes or lights")
@@ -58,12 +43,10 @@ def read_motion(file: Path) -> SceneMotion:
     moved = _tracks(file, "shapes", shapes, lambda track: _shape_track(track, file.parent))
     shining = _tracks(file, "lights", lights, _light_track)
     for track in moved.values():
-        for mesh in track.files if isinstance(track, MeshTrack) else ():
-            try:
+        for mesh in track.files if isinstance(track, tracks.MeshTrack) else ():
+            with reading(f"{file}: {mesh}"):
                 digest.update(mesh.read_bytes())
-            except OSError as error:
-                raise UserError(f"{file}: {mesh}: cannot be read ({one_line(error)})") from error
-    return SceneMotion(float(seconds), moved, shining, digest.hexdigest())
+    return tracks.SceneMotion(float(seconds), moved, shining, digest.hexdigest())
 
 
 def _section(file: Path, document: Any, name: str) -> dict[str, Any]:
@@ -74,10 +57,10 @@ def _section(file: Path, document: Any, name: str) -> dict[str, Any]:
 
 
 def _tracks(
-    file: Path, section: str, tracks: dict[str, Any], read: Callable[[dict[str, Any]], _Track]
+    file: Path, section: str, given: dict[str, Any], read: Callable[[dict[str, Any]], _Track]
 ) -> dict[str, _Track]:
     found = {}
-    for name, track in tracks.items():
+    for name, track in given.items():
         try:
             if not isinstance(track, dict):
                 raise ValueError("is no track")
@@ -87,7 +70,7 @@ def _tracks(
     return found
 
 
-def _shape_track(track: dict[str, Any], folder: Path) -> ShapeTrack:
+def _shape_track(track: dict[str, Any], folder: Path) -> tracks.ShapeTrack:
     kinds = [kind for kind in ("keyframes", "formula", "meshes") if kind in track]
     if len(kinds) != 1:
         raise ValueError("must have one of keyframes, formula and meshes")
@@ -95,27 +78,28 @@ def _shape_track(track: dict[str, Any], folder: Path) -> ShapeTrack:
     if "formula" in track:
         return _formula(track["formula"])
     if "meshes" in track:
-        return MeshTrack(_meshes(track["meshes"], folder))
+        return tracks.MeshTrack(_meshes(track["meshes"], folder))
     axis = np.array(_point(track, "axis", [0, 0, 1]))
     length = float(np.linalg.norm(axis))
     if not length:
         raise ValueError("axis has no length")
     x, y, z = (axis / length).tolist()
-    return RigidTrack(_each(track["keyframes"], _keyframe), (x, y, z), _point(track, "about", [0, 0, 0]))
+    keyframes = _each(track["keyframes"], _keyframe)
+    return tracks.RigidTrack(keyframes, (x, y, z), _point(track, "about", [0, 0, 0]))
 
 
-def _light_track(track: dict[str, Any]) -> LightTrack:
+def _light_track(track: dict[str, Any]) -> tracks.LightTrack:
     _require_known(track, {"keyframes"})
-    return LightTrack(_each(track.get("keyframes"), _brightness))
+    return tracks.LightTrack(_each(track.get("keyframes"), _brightness))
 
 
-def _keyframe(key: dict[str, Any]) -> Keyframe:
+def _keyframe(key: dict[str, Any]) -> tracks.Keyframe:
     _require_known(key, {"t", "translate", "degrees", "rotation"})
     if "degrees" in key and "rotation" in key:
         raise ValueError("a keyframe has degrees and rotation; must have one of them")
     rotation = _quaternion(key["rotation"]) if "rotation" in key else None
     shift = _point(key, "translate", [0, 0, 0])
-    return Keyframe(_number(key, "t"), shift, _number(key, "degrees", 0.0), rotation)
+    return tracks.Keyframe(_number(key, "t"), shift, _number(key, "degrees", 0.0), rotation)
 
 
 def _quaternion(value: Any) -> tuple[float, float, float, float]:
@@ -128,19 +112,19 @@ def _quaternion(value: Any) -> tuple[float, float, float, float]:
     return (w, x, y, z)
 
 
-def _brightness(key: dict[str, Any]) -> Brightness:
+def _brightness(key: dict[str, Any]) -> tracks.Brightness:
     _require_known(key, {"t", "factor"})
     factor = key.get("factor", 1.0)
     red, green, blue = _point({"factor": [factor] * 3 if _is_number(factor) else factor}, "factor", [1] * 3)
     if min(red, green, blue) < 0:
         raise ValueError("factor is negative")
-    return Brightness(_number(key, "t"), (red, green, blue))
+    return tracks.Brightness(_number(key, "t"), (red, green, blue))
 
 
-def _formula(texts: Any) -> Formula:
+def _formula(texts: Any) -> tracks.Formula:
     if not isinstance(texts, list) or len(texts) != 3 or not all(isinstance(text, str) for text in texts):
         raise ValueError("formula must be three texts, of x, y and z")
-    return Formula((texts[0], texts[1], texts[2]))
+    return tracks.Formula((texts[0], texts[1], texts[2]))
 
 
 def _meshes(names: Any, folder: Path) -> tuple[Path, ...]:
@@ -161,8 +145,7 @@ def _each(keys: Any, read: Callable[[dict[str, Any]], _Track]) -> tuple[_Track, 
 
 def _require_known(found: dict[str, Any], known: set[str]) -> None:
     """A misspelt name would be a motion that is silently left out."""
-    unknown = sorted(set(found) - known)
-    if unknown:
+    if unknown := sorted(set(found) - known):
         raise ValueError(f"{unknown[0]} is unknown here; may have {', '.join(sorted(known))}")
 
 

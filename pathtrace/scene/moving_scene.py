@@ -30,31 +30,23 @@ _Part: TypeAlias = Callable[[float], dict[str, Any]]
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
 _STEPS = 129
-# Meshes of fewer vertices are taken to pieces with as many points on their faces: a quad has four vertices,
-# and needs more pieces.
+# Meshes of fewer vertices, such as a quad's four, are taken to pieces with as many points on their faces.
 _COARSE = 1000
 # What a light's brightness is called, in that order.
 _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
 
 
 class MovingScene:
-    """A Mitsuba scene in which shapes and lights follow their tracks; it is at t = 0 at first.
+    """A Mitsuba scene in which shapes and lights follow their tracks, from 0 to 1; it is at t = 0 at first.
 
-    Only what has another place than before is touched, and no kernel is compiled again.
+    The scene is changed in place. Only what has another place than before is touched, and no kernel is
+    compiled again. UserError if a track is for a shape or light that does not exist or cannot move that way.
 
     Args:
-        scene: the Mitsuba scene; it is changed in place.
         motion: the tracks.
         names: the id that a shape or light of the scene has, by the one that it has in the scene's file.
         place: the scene's coordinates.
         source: name of the scene, for error messages.
-
-    Attributes:
-        motion: the tracks.
-        time: what the scene shows, from 0 to 1.
-
-    Raises:
-        UserError: a track is for a shape or light that does not exist or cannot move that way.
     """
 
     def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):
@@ -68,11 +60,7 @@ class MovingScene:
         self._show(0.0)
 
     def set_time(self, time: float) -> None:
-        """Shows the scene at a time.
-
-        Raises:
-            UserError: the time is not from 0 to 1.
-        """
+        """Shows the scene at a time; UserError if that is not from 0 to 1."""
         if not 0 <= time <= 1:
             raise UserError(f"time {time:g}: must be from 0 to 1")
         if time != self.time:

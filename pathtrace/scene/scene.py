@@ -32,11 +32,7 @@ def bundled_scenes() -> dict[str, Path]:
 
 
 def scene_file(source: str | Path) -> Path:
-    """The XML file of a bundled scene by name, or of the path of an XML file or of a folder with a scene.xml.
-
-    Raises:
-        UserError: there is no such scene.
-    """
+    """The XML file of a bundled scene by name, of a path, or of a folder with a scene.xml; else UserError."""
     bundled = bundled_scenes()
     if str(source) in bundled:
         return bundled[str(source)]
@@ -132,11 +128,7 @@ class Scene:
         return replace(scene, roulette_depth=plan[ROULETTE], plan={**plan, DEPTH: scene.max_depth})
 
     def set_time(self, time: float) -> None:
-        """Shows the scene at a time from 0 to 1, in place; when it is loaded, it is at 0.
-
-        Raises:
-            UserError: the time is out of range, or nothing moves.
-        """
+        """Shows a time from 0 to 1, in place; at first it is 0. UserError beyond, or if nothing moves."""
         if self.moving is None:
             raise UserError(f"{self.name}: nothing moves in this scene; it has no motion file")
         self.moving.set_time(time)

@@ -6,6 +6,7 @@ Nothing in it makes a parser take unbounded memory or stack, or loads code that 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import require_size_below
 from pathtrace.scene.sunsky import balance_xml
 
@@ -35,15 +36,12 @@ DEFAULT_MAX_DEPTH = 8
 def parse_xml(path: Path) -> ET.Element:
     """The top element of an XML file.
 
-    Raises:
-        UserError: the file cannot be read, is too large, is not well-formed, declares entities, which can
-            stand for any amount of text, or is nested too deeply for parsers that call themselves.
+    UserError if the file cannot be read, is too large, is not well-formed, declares entities, which can stand
+    for any amount of text, or is nested too deeply for parsers that call themselves.
     """
-    try:
+    with reading(path):
         require_size_below(path, _MOST_BYTES)
         content = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
     # In UTF-16, each character has a zero byte.
     if b"<!ENTITY" in content.replace(b"\0", b""):
         raise UserError(f"{path}: declares XML entities; write out what they stand for")
@@ -63,11 +61,8 @@ def parse_xml(path: Path) -> ET.Element:
 class References:
     """What the XML of a scene, and of the files that it includes, refers to.
 
-    Attributes:
-        source: the scene's XML file.
-        names: of files in the order of the XML, parameters replaced; whether they exist is not known.
-        folders: in which Mitsuba looks for them, besides the scene's: those of `<path>`.
-        plugins: types of all elements.
+    These are names of files in the order of the XML, parameters replaced, which may not exist; folders of
+    `<path>`, in which Mitsuba looks for them besides the scene's; and types of all elements.
     """
 
     source: Path
@@ -81,9 +76,8 @@ class References:
     def of(source: Path, root: ET.Element) -> References:
         """The references of a scene, from its XML file and the elements of that.
 
-        Raises:
-            UserError: an included file is not well-formed, includes form a loop or are too many, or
-                parameters stand for too much text.
+        UserError if an included file is not well-formed, includes form a loop or are too many, or parameters
+        stand for too much text.
         """
         found = References(source)
         found._collect(root, source.parent, 0)
@@ -92,8 +86,9 @@ class References:
     def candidates(self, name: str) -> Iterator[Path]:
         """Files that a name may stand for: those in the search folders, else that in the working folder."""
         folders = [*self.folders, self.source.parent]
-        files = [folder / name for folder in folders if is_file(folder / name)]
-        return iter(files or ([Path(name)] if is_file(Path(name)) else []))
+        # Of names that no file can have, pathlib's own function raises an error.
+        files = [folder / name for folder in folders if os.path.isfile(folder / name)]
+        return iter(files or ([Path(name)] if os.path.isfile(name) else []))
 
     def _collect(self, root: ET.Element, folder: Path, depth: int) -> None:
         """Walks through a file in the order of its elements, in which parameters are defined."""
@@ -136,14 +131,6 @@ class References:
         return text
 
 
-def is_file(path: Path) -> bool:
-    """Whether a file exists; also for names that no file can have, such as those that are too long."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def mitsuba_folder() -> Path:
     """The folder of Mitsuba's own plugins and data."""
     return Path(mi.__file__).parent
@@ -152,9 +139,8 @@ def mitsuba_folder() -> Path:
 def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
     """Checks that no plugin of a scene, whose elements have such types, would be loaded from its own files.
 
-    Raises:
-        UserError: a type is a path, or unknown and a file of that name lies in one of the folders in which
-            Mitsuba looks for files.
+    UserError if a type is a path, or unknown and a file of that name lies in one of the folders in which
+    Mitsuba looks for files.
     """
     own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
     searched = [folder / "plugins" for folder in (*folders, Path())]
@@ -166,26 +152,18 @@ def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Pa
             )
 
 
-def file_fingerprint(path: Path, root: ET.Element, references: References | None = None) -> str:
+def file_fingerprint(path: Path, root: ET.Element, references: References) -> str:
     """Hash (64 hexadecimal digits) of an XML file and of every file that Mitsuba loads because of it.
 
     Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
     that only includes, search folders or parameters lead to are added, with their sizes. Those that do not
-    exist are skipped: Mitsuba reports them when it loads the scene.
-
-    Args:
-        path, root: the XML file and its elements.
-        references: what they refer to, if it is known already.
-
-    Raises:
-        UserError: an included file is damaged, or a file cannot be read.
+    exist are skipped: Mitsuba reports them when it loads the scene. UserError if a file cannot be read.
     """
     digest = hashlib.sha256(path.read_bytes())
     named = (e for e in root.iter("string") if e.get("name") == "filename")
-    direct = [file for e in named if is_file(file := path.parent / (e.get("value") or ""))]
+    direct = [file for e in named if os.path.isfile(file := path.parent / (e.get("value") or ""))]
     for file in direct:
         _add(digest, file)
-    references = references or References.of(path, root)
     for number, name in enumerate(references.names):
         for file in references.candidates(name):
             if file not in direct:
@@ -195,16 +173,13 @@ def file_fingerprint(path: Path, root: ET.Element, references: References | None
 
 
 def _add(digest: hashlib._Hash, file: Path) -> None:
-
-    try:
+    with reading(file):
         left = require_size_below(file, _MOST_HASHED_BYTES)
         with file.open("rb") as opened:
             # No more than its size: some files of the system never end.
             while left > 0 and (block := opened.read(min(left, 1 << 20))):
                 digest.update(block)
                 left -= len(block)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
 
 
 def text_fingerprint(text: str) -> str:
@@ -214,12 +189,9 @@ def text_fingerprint(text: str) -> str:
 
 @dataclass(frozen=True)
 class SceneDescription:
-    """A scene's XML without its integrator.
+    """A scene's XML without its integrator, the hash of all files, and the path depth that it asks for.
 
-    Attributes:
-        text: XML for Mitsuba.
-        fingerprint: hash of the file and of all files that it names.
-        max_depth: path depth that the scene asks for, DEFAULT_MAX_DEPTH at most.
+    That is DEFAULT_MAX_DEPTH at most.
     """
 
     text: str
@@ -231,11 +203,8 @@ def read_description(path: Path) -> SceneDescription:
     """Reads a scene's XML file and removes its integrator.
 
     Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
-    author has, which Mitsuba would refuse.
-
-    Raises:
-        UserError: the file is not well-formed XML, might take unbounded memory, or would load native code
-            that is not Mitsuba's.
+    author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
+    memory, or would load native code that is not Mitsuba's.
     """
     root = parse_xml(path)
     depth = _max_depth(root)

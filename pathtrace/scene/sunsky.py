@@ -28,11 +28,10 @@ _DISTANCE = 1e12
 def balance_xml(root: ET.Element) -> None:
     """Replaces the `sunsky` emitters of an XML scene whose sun is not of its true size, in place."""
     for emitter in root.iter("emitter"):
-        if emitter.get("type") == "sunsky":
-            names = {child.get("name") for child in emitter}
-            if names & {"sun_aperture", "sunAperture"}:
-                _register()
-                emitter.set("type", PLUGIN)
+        names = {child.get("name") for child in emitter}
+        if emitter.get("type") == "sunsky" and names & {"sun_aperture", "sunAperture"}:
+            _register()
+            emitter.set("type", PLUGIN)
 
 
 def balanced_dictionary(description: dict[str, Any]) -> dict[str, Any]:

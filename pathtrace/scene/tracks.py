@@ -52,8 +52,7 @@ class Formula:
         texts: of the new x, y and z, in Python's notation: numbers, + - * / **, parentheses, pi, and sin,
             cos, exp, sqrt, abs, min and max.
 
-    Raises:
-        ValueError: an expression holds anything else.
+    ValueError if an expression holds anything else.
     """
 
     texts: tuple[str, str, str]
@@ -63,11 +62,7 @@ class Formula:
             _require_closed(_parsed(text))
 
     def positions(self, rest: Array, time: float) -> Array:
-        """Positions (N, 3) at a time of vertices whose rest positions are (N, 3).
-
-        Raises:
-            ValueError: a position is not finite.
-        """
+        """Positions (N, 3) at a time of vertices (N, 3) at rest; ValueError if one is not finite."""
         values = {**dict(zip("xyz", rest.T, strict=True)), "t": time, "pi": np.pi}
         with np.errstate(all="ignore"):
             columns = [np.broadcast_to(_value(_parsed(text), values), len(rest)) for text in self.texts]
@@ -129,13 +124,10 @@ def _value(node: ast.expr, values: dict[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A rigid pose at a time, as the way there from where the scene's file has the shape.
+    """A rigid pose at a time from 0 to 1, as the way there from where the scene's file has the shape.
 
-    Attributes:
-        time: 0 to 1.
-        translate: (x, y, z), after the rotation.
-        degrees: of the rotation around the track's axis; any number, so that wheels turn more than once.
-        rotation: (w, x, y, z), a unit quaternion, of a rotation around any axis instead.
+    After a rotation, it is translated. Degrees are those around the track's axis, any number, so that wheels
+    turn more than once; a unit quaternion (w, x, y, z) stands for a rotation around any axis instead.
     """
 
     time: float
@@ -155,8 +147,7 @@ class RigidTrack:
         axis: (x, y, z), unit, that the shape turns around.
         about: (x, y, z), a point on the axis where the shape is at rest.
 
-    Raises:
-        ValueError: keyframes are missing or out of order, or some have quaternions and others do not.
+    ValueError if keyframes are missing or out of order, or some have quaternions and others do not.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -195,9 +186,8 @@ class RigidTrack:
 class MeshTrack:
     """Vertices that go from mesh to mesh, linearly, in equal times from 0 to 1.
 
-    Attributes:
-        files: at least two mesh files whose vertices are in the coordinates of the scene's file, as many and
-            in the same order as those of the shape.
+    There are at least two mesh files, whose vertices are in the coordinates of the scene's file, as many and
+    in the same order as those of the shape.
     """
 
     files: tuple[Path, ...]
@@ -216,11 +206,7 @@ class Brightness:
 
 @dataclass(frozen=True)
 class LightTrack:
-    """A light whose radiance changes, linearly between keyframes, and constant beyond them.
-
-    Raises:
-        ValueError: keyframes are missing or out of order.
-    """
+    """A light whose radiance is linear between keyframes, and constant beyond; ValueError as `RigidTrack`."""
 
     keyframes: tuple[Brightness, ...]
 
@@ -234,13 +220,11 @@ class LightTrack:
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """What moves in a scene.
+    """What moves in a scene while the time goes from 0 to 1, in so many seconds.
 
-    Attributes:
-        seconds: that the time from 0 to 1 takes.
-        shapes: tracks by the id of the shape, or of a light that is no shape and has a place.
-        lights: tracks of radiance by the id of the light, or of the shape that shines.
-        fingerprint: hash of the file and of all meshes that it names.
+    Shapes have tracks by their id, or by that of a light that is no shape and has a place; lights have tracks
+    of radiance by their id, or by that of the shape that shines. The fingerprint is a hash of the file and of
+    all meshes that it names.
     """
 
     seconds: float

@@ -65,14 +65,11 @@ def _grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
 
 
 class Surfaces:
-    """All surfaces of a scene in one Embree tree.
+    """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
-    Args:
-        scene: holds a Mitsuba scene, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated;
-            those of a kind that cannot be are missing here.
-
-    Attributes:
-        bounds: (3,) lowest and (3,) highest corner of all triangles; inf and -inf if there are none.
+    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, as
+    `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; those of a kind that cannot be are
+    missing here.
     """
 
     def __init__(self, scene: Any):
@@ -133,8 +130,7 @@ class Surfaces:
     def probe(self, camera: Camera) -> Array:
         """(24 * 24,) distances to what a camera sees over a coarse grid of rays; inf if nothing."""
         small = camera.resized(_PROBE, _PROBE)
-        directions = small.rays(small.pixel_centres())
-        return self.distance(np.repeat(camera.position[None], len(directions), axis=0), directions)
+        return self.around(camera.position[None], small.rays(small.pixel_centres()))[0]
 
     def median_distance(self, camera: Camera) -> float:
         """Median distance to what a camera sees; inf if it sees nothing."""

@@ -81,8 +81,7 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
 
     Args:
         scene, sampler: of Mitsuba.
-        ray, surface: N Mitsuba rays, and interactions with what they hit first.
-        active: (N,) mask.
+        ray, surface: N Mitsuba rays, and interactions with what they hit first, of which some are active.
         settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
         cache: in which paths end; with one that knows no cell, the result is unbiased.

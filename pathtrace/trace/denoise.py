@@ -25,11 +25,8 @@ Picture = TypeVar("Picture")
 def denoise(radiance: Picture, albedo: Picture, normal: Picture, quick: bool = False) -> Picture:
     """(H, W, 3) radiance without Monte Carlo noise, of the same kind as what is given.
 
-    Args:
-        radiance: (H, W, 3) linear, unbounded; pixels must be box-filtered and uncorrelated.
-        albedo: (H, W, 3), clipped to 0..1.
-        normal: (H, W, 3), components in -1..1.
-        quick: uses the quicker network, for frames shown in real time.
+    Radiance is linear and unbounded, its pixels box-filtered and uncorrelated; albedo is clipped to 0..1;
+    components of normals are in -1..1. The quicker network is for frames shown in real time.
     """
     if isinstance(radiance, np.ndarray):
         # Scaled here, since kernels take the least floats for 0.

@@ -18,9 +18,8 @@ from compose.camera.camera import Camera
 class FilmPositions:
     """N positions on the film, each a box over which samples are averaged.
 
-    Attributes:
-        x, y: (N,) Dr.Jit floats, upper left corner of each box; a pixel's corner is its column and row.
-        width, height: box sizes in pixels, one for all or (N,) Dr.Jit floats.
+    x and y are (N,) Dr.Jit floats, the upper left corner of each box; a pixel's corner is its column and row.
+    Sizes are in pixels, one for all or (N,) Dr.Jit floats.
     """
 
     x: Any

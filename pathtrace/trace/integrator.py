@@ -25,11 +25,7 @@ class Integrator(Enum):
 
 
 def integrator_named(given: Integrator | str) -> Integrator:
-    """The integrator of a name.
-
-    Raises:
-        UserError: there is none of that name.
-    """
+    """The integrator of a name; UserError if there is none."""
     try:
         return Integrator(given)
     except ValueError as error:

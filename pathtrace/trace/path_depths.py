@@ -37,9 +37,8 @@ _ROW = 16
 class DepthShares:
     """Radiance by the number of segments of paths, over all views.
 
-    Attributes:
-        radiance: (P, D) mean luminance of each of P independent parts; of paths of 1 to D segments, the last
-            of which stands for all that are longer.
+    It is (P, D) mean luminance of each of P independent parts; of paths of 1 to D segments, the last of which
+    stands for all that are longer.
     """
 
     radiance: NDArray[np.float64]
@@ -77,11 +76,9 @@ class DepthShares:
 
 @dataclass(frozen=True)
 class PathCosts:
-    """What paths of some settings cost.
+    """What paths cost: their mean number of segments, without rays to lights, and their variance.
 
-    Attributes:
-        segments: mean number of segments of a path; rays to lights are not counted.
-        variance: of its luminance within a view, mean over views, without the brightest paths.
+    That is of luminance within a view, mean over views, without the brightest paths.
     """
 
     segments: float

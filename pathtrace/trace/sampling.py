@@ -158,12 +158,11 @@ class Lanes:
         """
         # One kernel, even if the channels have not been computed yet.
         dr.eval(channels)
-        if isinstance(self.spp, int):
-            if self.spp == 1:
-                used = dr.arange(mi.UInt32, self.count)
-                return [dr.gather(mi.Float, channel, used) for channel in channels]
-            return _runs_summed(channels, self.first, self.first + constant(mi.UInt32, self.spp))
-        return _runs_summed(channels, self.first, self.first + mi.UInt32(self.spp.each))
+        if self.spp == 1:
+            used = dr.arange(mi.UInt32, self.count)
+            return [dr.gather(mi.Float, channel, used) for channel in channels]
+        each = constant(mi.UInt32, self.spp) if isinstance(self.spp, int) else mi.UInt32(self.spp.each)
+        return _runs_summed(channels, self.first, self.first + each)
 
 
 def _runs_summed(channels: list[Any], first: Any, end: Any) -> list[Any]:
@@ -205,11 +204,8 @@ class Batch:
         offset = constant(mi.UInt32, offset) if isinstance(offset, int) else mi.UInt32(offset)
         if not isinstance(spp, Counts):
             each = np.asarray(spp)
-            spp = (
-                Counts(mi.UInt32(each.astype(np.uint32)), int(each.sum()), int(each.max(initial=0)))
-                if each.ndim
-                else int(each)
-            )
+            sizes = int(each.sum()), int(each.max(initial=0))
+            spp = Counts(mi.UInt32(each.astype(np.uint32)), *sizes) if each.ndim else sizes[0]
         return Batch(camera, positions, spp, offset, pattern)
 
     def parts(self, most: int) -> Iterator[Batch]:
@@ -230,11 +226,8 @@ class Batch:
 
     def passes(self, most_lanes: int) -> Iterator[Batch]:
         """The same samples in batches of about so many lanes that have some of each position."""
-        most, lanes = (
-            (self.spp.most, self.spp.total)
-            if isinstance(self.spp, Counts)
-            else (self.spp, self.positions.count * self.spp)
-        )
+        spp = self.spp
+        most, lanes = (spp.most, spp.total) if isinstance(spp, Counts) else (spp, self.positions.count * spp)
         passes = max(1, min(most, -(-lanes // most_lanes)))
         if passes == 1:
             yield self

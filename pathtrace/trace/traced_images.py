@@ -17,13 +17,7 @@ from pathtrace.trace.tracer import Tracer
 
 @dataclass(frozen=True)
 class TracedImage:
-    """A path-traced image with its auxiliary features.
-
-    Attributes:
-        radiance: (H, W, 3) linear, with Monte Carlo noise.
-        albedo: (H, W, 3).
-        normal: (H, W, 3) shading normal in world space.
-    """
+    """A path-traced image, (H, W, 3): linear radiance with noise, albedo, and shading normal in the world."""
 
     radiance: Image
     albedo: Image
@@ -51,13 +45,9 @@ def trace_image(
 ) -> TracedImage:
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
-    Args:
-        tracer, camera: the view and what traces it.
-        positions: H * W film positions in the camera's coordinates, row by row from the top.
-        columns: W, the width of the image.
-        spp: samples per pixel.
-        seed: same seed, same image.
-        least_auxiliary: samples per pixel that auxiliary features have at least; they guide the denoiser.
+    There are H * W film positions in the camera's coordinates, row by row from the top, in W columns.
+    Auxiliary features, which guide the denoiser, have at least as many samples as `least_auxiliary`. Same
+    seed, same image.
     """
     traced, features = tracer.trace_with_features(camera, positions, spp, seed, least_auxiliary)
     channels = traced.radiance, features.albedo, features.normal
@@ -84,7 +74,7 @@ def radiance_image(
 def auxiliary_images(
     tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, pattern: int
 ) -> tuple[Image, Image]:
-    """Albedo and normal, (H, W, 3) each, with `spp` samples per pixel; arguments as in `trace_image`.
+    """Albedo and normal, (H, W, 3) each, with `spp` samples per pixel; other arguments as in `trace_image`.
 
     The pattern is the seed of the radiance, so that both have the same sample positions and edges.
     """

@@ -43,19 +43,15 @@ _UNBENT = 1e-5
 _SHADOW_RAYS = 2
 # Of a cache without cells.
 _ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
-# With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
-# a path.
+# With fewer samples, noise of auxiliary features shows in what they guide; each costs a twentieth of a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 
 
 @dataclass(frozen=True)
 class Traced:
-    """Radiance at N film positions.
+    """Radiance at N film positions: linear means, and means of its squares, three (N,) Dr.Jit floats each.
 
-    Attributes:
-        radiance: three (N,) Dr.Jit floats, linear, unbounded.
-        squares: three (N,) Dr.Jit floats, mean of the samples' squared radiance.
-        features: auxiliary features at the same sample positions; None if they were not asked for.
+    Auxiliary features are those of the same sample positions; there are none if they were not asked for.
     """
 
     radiance: list[Any]
@@ -69,9 +65,9 @@ class Hits:
 
     Attributes:
         distance: (N,) float32, along the unit ray; inf where nothing is hit.
-        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface,
-            which is how far away things in a mirror appear to be; inf where nothing is hit, and for the sky
-            in a flat mirror or behind a pane.
+        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface:
+            how far away things in a mirror appear to be; inf also for the sky in a flat mirror or behind a
+            pane.
         shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
     """
 
@@ -103,7 +99,6 @@ class Tracer:
 
     Args:
         scene: the scene.
-        max_depth: path depth; the scene's own by default.
         roulette_depth: depth from which Russian roulette may end a path; that of the scene by default.
         cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
             noise, but biased. Without it, the result is unbiased.
@@ -114,19 +109,17 @@ class Tracer:
     def __init__(
         self,
         scene: Scene,
-        max_depth: int | None = None,
         roulette_depth: int | None = None,
         cache: IrradianceCache | None = None,
         most_indirect: float | None = None,
     ):
         self.scene = scene
-        depth, roulette = max_depth or scene.max_depth, roulette_depth or scene.roulette_depth
+        depth, roulette = scene.max_depth, roulette_depth or scene.roulette_depth
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})
         self._clear = has_clear_surfaces(scene.mitsuba)
         # What moves: the numbers by which kernels know a shape, and which samples of it have.
         moving = [] if scene.moving is None else scene.moving.movers()
         self._movers = [(registered(shape), number) for shape, number in moving]
-        # Frozen per tracer: the scene is part of the recording.
         # In a cache without cells, no path could end.
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
@@ -166,8 +159,7 @@ class Tracer:
             features: whether to return the auxiliary features of what the samples hit first as well, as
                 `auxiliary` does, at less than its cost.
 
-        Raises:
-            ValueError: no samples are asked for.
+        ValueError if no samples are asked for.
         """
         pattern = seed if pattern is None else pattern
         batch = Batch.of(camera, positions, spp, offset, pattern)

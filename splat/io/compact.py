@@ -38,11 +38,10 @@ Codes = NDArray[Any]
 _PER_LOG, _MOST_LOG = 32, 128.0
 # Below 1/255 nothing is drawn, above 0.99 nothing is told apart: eight bits are what opacity has.
 _OPACITIES = 256
-# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display.
+# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display. So are,
+# together, harmonics up to the second degree: the mean square of each over directions is 1 / (4 pi) of its
+# coefficient's.
 _PER_COLOUR = 256
-# Then harmonics up to the second degree, together, are as right as the colour: the mean square of each over
-# directions is 1 / (4 pi) of its coefficient's.
-_PER_HARMONIC = 256
 # Larger colours and harmonics end there; both are inside of float32.
 _LARGEST = 8e37
 
@@ -70,50 +69,37 @@ def logits_of_codes(codes: Codes) -> Floats:
 
 def codes_of_constants(coefficients: Floats) -> Codes:
     """Codes, int16, of constant spherical harmonics: of the colours that they stand for."""
-    return _unsigned(_steps(0.5 + SH_DC * coefficients, _PER_COLOUR))
+    return codes_of_harmonics(0.5 + SH_DC * coefficients)
 
 
 def constants_of_codes(codes: Codes) -> Floats:
     """Constant harmonics; their colours are within 1/512, or of larger ones within that share."""
-    return (_expanded(_signed(codes) / _PER_COLOUR) - 0.5) / SH_DC
+    return (harmonics_of_codes(codes) - 0.5) / SH_DC
 
 
 def codes_of_harmonics(coefficients: Floats) -> Codes:
-    """Codes, int16, of spherical harmonics that depend on direction."""
-    return _unsigned(_steps(coefficients, _PER_HARMONIC))
+    """Codes, int16, of spherical harmonics that depend on direction.
+
+    Steps 0, -1, 1, -2, ... become 0, 1, 2, 3, ...: small ones of both signs then have the same upper byte, 0.
+    """
+    # There are fewer than 2^15 steps of each sign.
+    most = np.floor(_companded(np.array(_LARGEST)) * _PER_COLOUR)
+    steps = np.clip(np.rint(_companded(coefficients) * _PER_COLOUR), -most, most).astype(np.int32)
+    return ((steps << 1) ^ (steps >> 31)).astype(np.uint16).view(np.int16)
 
 
 def harmonics_of_codes(codes: Codes) -> Floats:
     """Harmonics that depend on direction, within 1/512, or of larger ones within that share."""
-    return _expanded(_signed(codes) / _PER_HARMONIC)
-
-
-def _steps(values: Floats, per_unit: int) -> Floats:
-    """Companded values in whole steps, of which there are fewer than 2^15 of each sign."""
-    most = np.floor(_companded(np.array(_LARGEST)) * per_unit)
-    return np.clip(np.rint(_companded(values) * per_unit), -most, most)
+    unsigned = codes.view(np.uint16).astype(np.int32)
+    values = ((unsigned >> 1) ^ -(unsigned & 1)) / _PER_COLOUR
+    size = np.abs(values)
+    return np.where(size <= 1, values, np.copysign(np.exp(np.maximum(size, 1) - 1), values))
 
 
 def _companded(values: Floats) -> Floats:
     """Values up to 1 as they are, larger ones by their logarithm: light has no largest value."""
     size = np.abs(values)
     return np.where(size <= 1, values, np.copysign(1 + np.log(np.maximum(size, 1)), values))
-
-
-def _expanded(values: Floats) -> Floats:
-    size = np.abs(values)
-    return np.where(size <= 1, values, np.copysign(np.exp(np.maximum(size, 1) - 1), values))
-
-
-def _unsigned(values: Floats) -> Codes:
-    """0, -1, 1, -2, ... as 0, 1, 2, 3, ...: small ones of both signs then have the same upper byte, 0."""
-    whole = values.astype(np.int32)
-    return ((whole << 1) ^ (whole >> 31)).astype(np.uint16).view(np.int16)
-
-
-def _signed(codes: Codes) -> Codes:
-    unsigned = codes.view(np.uint16).astype(np.int32)
-    return (unsigned >> 1) ^ -(unsigned & 1)
 
 
 _TURN_STEPS = 511
@@ -176,18 +162,14 @@ class Boxes:
 
 def tolerance(log_scales: Floats) -> Floats:
     """(N,) furthest that a node may be moved, from logarithms of its axes (3, N)."""
-    return np.maximum(
-        _OF_SHORTEST * np.exp(log_scales.min(axis=0)), _OF_LONGEST * np.exp(log_scales.max(axis=0))
-    )
+    shortest, longest = (np.exp(extreme(log_scales, axis=0)) for extreme in (np.min, np.max))
+    return np.maximum(_OF_SHORTEST * shortest, _OF_LONGEST * longest)
 
 
 def boxed(means: Floats, tolerated: Floats, layers: tuple[int, ...]) -> Boxes:
-    """Encodes positions.
+    """Encodes positions (3, N), numbers of float32, in boxes of which none holds nodes of two layers.
 
-    Args:
-        means: (3, N), numbers of float32.
-        tolerated: (N,) furthest that each may be moved, apart from float32's own rounding.
-        layers: nodes per layer; no box holds nodes of two.
+    `tolerated` (N,) is the furthest that each may be moved, apart from float32's own rounding.
     """
     first = _firsts(means, tolerated, layers)
     counts = np.diff(np.r_[first, means.shape[1]])
@@ -253,12 +235,9 @@ def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
     if not forest.nodes.gaussians.is_finite():
         return None
     codes = encoded(forest.nodes, forest.counts)
-    exact = _contents(forest.nodes.gaussians) == _contents(decoded(codes).gaussians)
-    return codes if exact else None
-
-
-def _contents(gaussians: Gaussians) -> list[bytes]:
-    return [np.ascontiguousarray(t.detach().numpy()).tobytes() for t in gaussians.every_tensor()]
+    both = (nodes.gaussians.every_tensor() for nodes in (forest.nodes, decoded(codes)))
+    own, exact = ([tensor.detach().numpy().tobytes() for tensor in tensors] for tensors in both)
+    return codes if own == exact else None
 
 
 def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
@@ -304,22 +283,15 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
         KeyError: a tensor is missing.
         ValueError: one has the wrong type or shape, or codes that do not exist.
     """
-    codes = {name: _codes(tensors, name, kind) for name, kind in _KINDS.items()}
+    codes = {name: _codes(tensors, name, *kind) for name, kind in _KINDS.items()}
     boxes = Boxes(**{field.name: codes[_BOXES + field.name] for field in fields(Boxes)})
-    directional = harmonics_of_codes(codes["sh.directional"]).transpose(1, 2, 0)
-    further = Directional(
-        torch.from_numpy(np.flatnonzero(codes["sh.turning"])),
-        torch.from_numpy(np.ascontiguousarray(directional, dtype=np.float32)),
-    )
-    values = (
-        unboxed(boxes),
-        log_scales_of_codes(codes["log_scales"]),
-        rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
-        logits_of_codes(codes["opacities"]),
-        constants_of_codes(codes["sh.constant"])[None],
-    )
-    exact = (torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in values)
-    gaussians = Gaussians(*exact, directional=further)
+    exact = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
+    directional = exact(harmonics_of_codes(codes["sh.directional"]).transpose(1, 2, 0))
+    further = Directional(torch.from_numpy(np.flatnonzero(codes["sh.turning"])), directional)
+    means, log_scales = unboxed(boxes), log_scales_of_codes(codes["log_scales"])
+    rotations = rotations_of_codes(codes["rotations.largest"], codes["rotations.others"])
+    shown = logits_of_codes(codes["opacities"]), constants_of_codes(codes["sh.constant"])[None]
+    gaussians = Gaussians(*map(exact, (means, log_scales, rotations, *shown)), directional=further)
     parent = np.cumsum(codes["parent"], dtype=np.int32)
     return Layer(gaussians, *map(torch.from_numpy, (parent, codes["semantic"], codes["dynamic"])))
 
@@ -343,9 +315,9 @@ _KINDS: dict[str, tuple[torch.dtype, int]] = {
 }
 
 
-def _codes(tensors: dict[str, torch.Tensor], name: str, kind: tuple[torch.dtype, int]) -> Codes:
+def _codes(tensors: dict[str, torch.Tensor], name: str, dtype: torch.dtype, axes: int) -> Codes:
     """A tensor of codes; a ValueError if it is none."""
-    tensor, (dtype, axes) = tensors[name], kind
+    tensor = tensors[name]
     if tensor.dtype != dtype or tensor.ndim != axes:
         raise ValueError(f"{name} is {tensor.dtype} with {tensor.ndim} axes, expected {dtype} with {axes}")
     return tensor.numpy()

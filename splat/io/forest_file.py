@@ -21,7 +21,6 @@ from splat.io.tensors import (
     COMPACT_VERSION,
     FORMAT_VERSION,
     PLACED_VERSION,
-    load_metadata,
     load_tensors,
     packed,
     save_tensors,
@@ -50,23 +49,22 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         UserError: the file cannot be written.
     """
     nodes = forest.nodes
-    is_placed = forest.place != WORLD
-    place = {"origin": list(forest.place.origin), "unit": forest.place.unit} if is_placed else {}
     metadata = {
-        "format_version": PLACED_VERSION if place else FORMAT_VERSION,
+        "format_version": FORMAT_VERSION,
         "kind": "forest",
         "layers": list(forest.counts),
         "degree": nodes.gaussians.degree,
         "trained_focal": forest.trained_focal,
         "scene_name": forest.scene_name,
         "scene_hash": forest.scene_hash,
-        **place,
     }
-    groups = {_ATTACHED: forest.attached} | {
-        prefix: part.tensors()
-        for prefix, part in ((_MOTION, forest.motion), (_LIGHT, forest.light))
-        if part is not None
-    }
+    if forest.place != WORLD:
+        place = {"origin": list(forest.place.origin), "unit": forest.place.unit}
+        metadata |= {"format_version": PLACED_VERSION, **place}
+    groups = {_ATTACHED: forest.attached}
+    for prefix, part in ((_MOTION, forest.motion), (_LIGHT, forest.light)):
+        if part is not None:
+            groups[prefix] = part.tensors()
     tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
     codes = exactly_encoded(forest)
     if codes is not None:
@@ -92,21 +90,14 @@ def load_forest(path: str | Path) -> Forest:
     tensors, metadata = load_tensors(path, "train it again")
     _require_forest(path, metadata)
     try:
-        if _PACKED in metadata:
-            tensors = unpacked(tensors, metadata[_PACKED])
-            nodes = decoded(tensors)
-        else:
-            nodes = _exact(tensors)
-        forest = Forest(
-            nodes,
-            _counts(metadata["layers"]),
-            float(metadata["trained_focal"]),
-            *claimed_scene(metadata["scene_name"], metadata["scene_hash"]),
-            under(_ATTACHED, tensors),
-            _place(metadata),
-            _motion(tensors),
-            _light(tensors),
-        )
+        is_packed = _PACKED in metadata
+        tensors = unpacked(tensors, metadata[_PACKED]) if is_packed else tensors
+        nodes = decoded(tensors) if is_packed else _exact(tensors)
+        counts, focal = _counts(metadata["layers"]), float(metadata["trained_focal"])
+        scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])
+        attached, place = under(_ATTACHED, tensors), _place(metadata)
+        motion, light = _motion(tensors), _light(tensors)
+        forest = Forest(nodes, counts, focal, *scene, attached, place, motion, light)
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: damaged forest file ({one_line(error)}); train it again") from error
@@ -120,8 +111,9 @@ def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
     found = under(_MOTION, tensors)
     if not found:
         return None
+    is_finite = all(bool(torch.isfinite(tensor).all()) for tensor in found.values())
     if "centres" not in found:
-        if not all(bool(torch.isfinite(tensor).all()) for tensor in found.values()):
+        if not is_finite:
             raise ValueError("a learned motion that is not finite")
         try:
             return LearnedMotion.restored(found)
@@ -130,7 +122,7 @@ def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
     # Files that earlier versions wrote know of instances of one piece only.
     found.setdefault("pieces", torch.ones(len(found["centres"]), dtype=torch.int64))
     motion = NodeMotion(**{field.name: found[field.name] for field in fields(NodeMotion)})
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in motion.tensors().values()):
+    if not is_finite:
         raise ValueError("a motion that is not finite")
     if not bool(((motion.rotations.norm(dim=2) - 1).abs() < _UNIT_TOLERANCE).all()):
         raise ValueError("a motion whose rotations are not unit quaternions")
@@ -145,9 +137,8 @@ def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     # Files that earlier versions wrote have one factor for all channels, and nodes with one side only.
     if found["factors"].ndim == 2:
         found["factors"] = found["factors"].half()[:, None].repeat(1, 3, 1)
-    light = LightCourse(
-        **{field.name: found[field.name] for field in fields(LightCourse) if field.name in found}
-    )
+    names = {field.name for field in fields(LightCourse)}
+    light = LightCourse(**{name: tensor for name, tensor in found.items() if name in names})
     factors = torch.cat([light.factors.flatten(), light.behind.flatten()])
     if not bool((torch.isfinite(factors) & (factors >= 0)).all()):
         raise ValueError("factors of light that are not finite, or negative")
@@ -168,7 +159,7 @@ def scene_of_forest(path: Path) -> tuple[str, str]:
     Raises:
         UserError: it is no forest file, or its header is damaged.
     """
-    metadata = load_metadata(path)
+    _, metadata = load_tensors(path, with_tensors=False)
     _require_forest(path, metadata)
     try:
         return claimed_scene(metadata["scene_name"], metadata["scene_hash"])

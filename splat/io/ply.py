@@ -46,17 +46,12 @@ def save_ply(path: str | Path, gaussians: Gaussians) -> None:
     """
     n = len(gaussians)
     names = _ply_properties(gaussians.degree)
-    sh = gaussians.all_turning().sh.detach().cpu()
-    columns = [
-        gaussians.means,
-        torch.zeros(3, n),
-        sh[0],
-        # All coefficients of red, then those of green, then those of blue.
-        sh[1:].permute(1, 0, 2).reshape(-1, n),
-        gaussians.opacity_logits[None],
-        gaussians.log_scales,
-        torch.nn.functional.normalize(gaussians.rotations, dim=0),
-    ]
+    sh = gaussians.all_turning().sh
+    # All coefficients of red, then those of green, then those of blue.
+    harmonics = sh[0], sh[1:].permute(1, 0, 2).reshape(-1, n)
+    turns = torch.nn.functional.normalize(gaussians.rotations, dim=0)
+    shape = gaussians.opacity_logits[None], gaussians.log_scales, turns
+    columns = [gaussians.means, torch.zeros(3, n), *harmonics, *shape]
     table = torch.cat([c.detach().cpu() for c in columns]).T.contiguous().numpy().astype("<f4")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
@@ -89,13 +84,9 @@ def load_ply(path: str | Path) -> Gaussians:
     take = lambda *wanted: torch.tensor(table[:, [column[w] for w in wanted]].T.copy())  # noqa: E731
     constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
     directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, count).permute(1, 0, 2)
-    return Gaussians(
-        take("x", "y", "z"),
-        take("scale_0", "scale_1", "scale_2"),
-        take("rot_0", "rot_1", "rot_2", "rot_3"),
-        take("opacity")[0],
-        torch.cat([constant, directional]).contiguous(),
-    )
+    scales, turns = (take(*(f"{part}_{i}" for i in range(n))) for part, n in (("scale", 3), ("rot", 4)))
+    sh = torch.cat([constant, directional]).contiguous()
+    return Gaussians(take("x", "y", "z"), scales, turns, take("opacity")[0], sh)
 
 
 def _check_finite(path: Path, table: NDArray[np.float32], column: dict[str, int]) -> None:
@@ -118,7 +109,7 @@ def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], int]:
     counts, names = after("element vertex "), after("property float ")
     rest = sum(name.startswith("f_rest_") for name in names)
     degree = round((rest / 3 + 1) ** 0.5) - 1
-    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {"nx", "ny", "nz"} <= set(names)
+    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {*_UNREAD} <= set(names)
     known = known and rest == 3 * (sh_count(degree) - 1)
     if len(counts) != 1 or not known or len(after("property ")) != len(names):
         raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")

@@ -53,26 +53,17 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
     write_whole(path, lambda part: part.write_bytes(content))
 
 
-def load_tensors(path: Path, advice: str = "make it again") -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def load_tensors(
+    path: Path, advice: str = "make it again", with_tensors: bool = True
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Reads the tensors and the metadata of a file written by `save_tensors`.
+
+    Both are of one and the same file, also if another process replaces it meanwhile. Without its tensors, a
+    large file takes no longer than a small one.
 
     Raises:
         UserError: the file is missing, corrupt (`advice` says what to do then) or of another version.
     """
-    return _load(path, advice, with_tensors=True)
-
-
-def load_metadata(path: Path) -> dict[str, Any]:
-    """Reads the metadata alone, which takes no longer for a large file.
-
-    Raises:
-        UserError: the file is missing, its header is damaged, or it is of another version.
-    """
-    return _load(path, "make it again", with_tensors=False)[1]
-
-
-def _load(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Tensors and metadata of one and the same file, also if another process replaces it meanwhile."""
     for _ in range(_MOST_TRIES):
         before = _version(path)
         try:
@@ -144,10 +135,7 @@ def packed(tensors: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], d
 
 
 def unpacked(tensors: dict[str, torch.Tensor], kinds: Any) -> dict[str, torch.Tensor]:
-    """The tensors that `packed` made these of.
-
-    Args:
-        kinds: type and shape of each, as read from a file.
+    """The tensors that `packed` made these of, from the type and shape of each, as read from a file.
 
     Raises:
         ValueError: a type or a shape is none, the content does not have it, or it takes too much memory.

@@ -34,12 +34,10 @@ def composite(
     camera: Camera,
     frame: SplatImage | None = None,
 ) -> SplatImage:
-    """The frame, black in cells in which no entry has a weight.
+    """The frame, black in cells in which no entry has a weight; in all others, the weights must sum to 1.
 
-    Args:
-        entries: of the atlas, at least one; their weights sum to 1 in every cell in which any has one.
-        frame: the rasterizer's, in which those cells keep what they show, and which is changed; a new one by
-            default.
+    There is at least one entry. Instead of being black, cells keep what they show in the rasterizer's
+    `frame`, if that is given; it is changed.
     """
     Float, grid = arrays.plain.Float, TileGrid(camera.width, camera.height)
     covered = np.stack([entry.cells.ravel() for entry in entries])
@@ -142,12 +140,8 @@ class _Sources:
         above, below = weights[:, :-1], weights[:, 1:]
         corners = np.stack([above[..., :-1], above[..., 1:], below[..., :-1], below[..., 1:]], axis=-1)
         # Of each cell of a group its number, and for each rate which corners are its own and the first row.
-        cells = [
-            np.vstack([g.cells, g.entries * entries[0].cells.size + g.cells, tops[g.entries]]).T.astype(
-                np.uint32
-            )
-            for g in groups
-        ]
+        size = np.uint32(entries[0].cells.size)
+        cells = [np.vstack([g.cells, g.entries * size + g.cells, tops[g.entries]]).T for g in groups]
         first = corners.size + np.cumsum([len(groups), *(part.size for part in cells)])[:-1]
         self._corners = records_before(arrays, _CORNERS, corners, first.astype(np.uint32), *cells)
         self._array = self._corners.tables[0]

@@ -6,6 +6,8 @@ Only layers that are drawn are brought to a time (Fov-GS, section 3.4: selection
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
+from itertools import accumulate, pairwise, starmap
 from typing import Any
 
 import drjit as dr
@@ -16,7 +18,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
-from splat.model.gaussians import Directional, Gaussians
+from splat.model.gaussians import Directional, Gaussians, as_rows
 from splat.raster.binning import depth_order
 from splat.raster.projection import (
     PIXEL_FILTER,
@@ -62,9 +64,7 @@ class LayerChanges:
     def lit(self, time: float, camera: Camera) -> tuple[torch.Tensor, Gaussians] | None:
         """Indices (M,) of nodes, and Gaussians (M) with harmonics in the light of a time; None if given out.
 
-        Args:
-            time: at which the nodes are already.
-            camera: which sees them, in their coordinates; it matters to nodes with two sides.
+        The nodes are at that time already. The camera, in their coordinates, matters to those with two sides.
         """
         light = self._light
         if light is None:
@@ -75,9 +75,9 @@ class LayerChanges:
         nodes, factors, shown = light.nodes, factors_at(light.factors, time), self._usual
         if len(light.sided):
             sided = nodes[light.sided]
-            rest, now, means = (t[:, sided] for t in (self._own.rotations, self._rotations, self._means))
+            turns = self._own.rotations[:, sided], self._rotations[:, sided]
             position = torch.from_numpy(camera.position.copy()).float()
-            behind = seen_from_behind(light.normals, rest, now, means, position)
+            behind = seen_from_behind(light.normals, *turns, self._means[:, sided], position)
             other = factors_at(light.behind, time)
             factors[:, light.sided] = torch.where(behind, other, factors[:, light.sided])
         if self._lit_at == time:
@@ -88,10 +88,8 @@ class LayerChanges:
         return nodes, in_light(shown, torch.arange(len(nodes)), factors)
 
 
-# The fields of `Footprints`. One float is spare.
-_FOOTPRINT = RecordLayout(
-    (8, 4), x=1, y=1, xx=1, xy=1, yy=1, conditional=1, opacity=1, red=1, green=1, blue=1, depth=1
-)
+# One float is spare.
+_FOOTPRINT = RecordLayout((8, 4), (), **{field.name: 1 for field in fields(Footprints)})
 # Floats per load of a node's parameters.
 _NODE_LOAD = 8
 
@@ -134,10 +132,8 @@ class ForestFootprints:
     def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[range]:
         """Where the nodes of some layers that may show in a camera's frame lie among all footprints.
 
-        Each layer's lie together, from near to far.
-
-        Args:
-            blur: widest filter that will be used, as a multiple of the filter at the pixel grid.
+        Each layer's lie together, from near to far. `blur` is the widest filter that will be used, as a
+        multiple of the filter at the pixel grid.
         """
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
@@ -150,20 +146,17 @@ class ForestFootprints:
             for n in new:
                 self._change(n, own)
                 self._layers[n] = self._visible(own, n, self._key[1])
-            self._concatenate()
+            parts = [part for part in self._layers.values() if part is not None]
+            self._records = concatenated_records(parts) if parts else None
+            counts = (0 if part is None else len(part) for part in self._layers.values())
+            ranges = starmap(range, pairwise(accumulate(counts, initial=0)))
+            self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
 
     def footprints(self, index: Any) -> Footprints:
         """Those at an index (M,) among all of them."""
         assert self._records is not None
         return Footprints(**vars(self._records.at(index)))
-
-    def _concatenate(self) -> None:
-        parts, end = [part for part in self._layers.values() if part is not None], 0
-        for n, part in self._layers.items():
-            start, end = end, end + (0 if part is None else len(part))
-            self._ranges[n] = range(start, end)
-        self._records = concatenated_records(parts) if parts else None
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> Records | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates."""
@@ -211,12 +204,9 @@ class _NodeTable:
     """All parameters of a node side by side, since nodes are gathered from all over the forest."""
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians):
-        coefficients = gaussians.sh.shape[0]
-        widths = {"means": 3, "log_scales": 3, "rotations": 4, "opacity_logits": 1, "sh": 3 * coefficients}
-        tensors = {name: t.reshape(widths[name], len(gaussians)) for name, t in gaussians.tensors()}
-        self._arrays, self._coefficients = arrays, coefficients
+        self._arrays, self._coefficients = arrays, gaussians.sh.shape[0]
         # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
-        self._records = _uploaded(arrays, tensors)
+        self._records = _uploaded(arrays, **dict(gaussians.tensors()))
         further = gaussians.directional
         self._directional = None
         if further is not None and further.sh.numel():
@@ -224,16 +214,12 @@ class _NodeTable:
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest place, orientation and size of Gaussians (M)."""
-        index = self._arrays.plain.UInt(nodes.numpy())
-        rows = {name: getattr(gaussians, name) for name in ("means", "rotations", "log_scales")}
-        self._records.write(
-            index, **{name: [_row(self._arrays, row) for row in tensor] for name, tensor in rows.items()}
-        )
+        shape = {"means": gaussians.means, "rotations": gaussians.rotations}
+        _write(self._records, nodes, **shape, log_scales=gaussians.log_scales)
 
     def light(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest the spherical harmonics of Gaussians (M)."""
-        index = self._arrays.plain.UInt(nodes.numpy())
-        self._records.write(index, sh=[_row(self._arrays, row) for row in gaussians.sh.flatten(0, 1)])
+        _write(self._records, nodes, sh=gaussians.sh)
         if self._directional is not None and gaussians.directional is not None:
             self._directional.light(nodes, gaussians.directional)
 
@@ -254,13 +240,12 @@ class _DirectionalTable:
         self._arrays, self._slot_of = arrays, further.slots(count)
         self._coefficients = further.sh.shape[0]
         self._slots = arrays.plain.Int(self._slot_of.int().numpy())
-        self._records = _uploaded(arrays, {"sh": further.sh.flatten(0, 1)})
+        self._records = _uploaded(arrays, sh=further.sh)
 
     def light(self, nodes: torch.Tensor, further: Directional) -> None:
         """Gives those of some nodes (L,) of the forest that have such harmonics others."""
         if len(further):
-            index = self._arrays.plain.UInt(self._slot_of[nodes[further.index]].numpy())
-            self._records.write(index, sh=[_row(self._arrays, row) for row in further.sh.flatten(0, 1)])
+            _write(self._records, self._slot_of[nodes[further.index]], sh=further.sh)
 
     def constant(self, index: Any, nodes: Records, camera: Camera) -> list[Any]:
         """Three channels (M,), of nodes at an index (M,), to be added to their constant harmonic.
@@ -280,9 +265,15 @@ class _DirectionalTable:
         return added
 
 
-def _uploaded(arrays: Arrays, tensors: dict[str, torch.Tensor]) -> Records:
-    """Records of tensors (width, N), on the device."""
-    widths = {name: tensor.shape[0] for name, tensor in tensors.items()}
-    loads = -(-sum(widths.values()) // _NODE_LOAD)
-    layout = RecordLayout([_NODE_LOAD] * loads, (), **widths)
-    return layout.upload(arrays, **{name: tensor.numpy() for name, tensor in tensors.items()})
+def _uploaded(arrays: Arrays, **tensors: torch.Tensor) -> Records:
+    """Records of tensors (..., N), on the device."""
+    rows = {name: as_rows(tensor).numpy() for name, tensor in tensors.items()}
+    widths = {name: len(values) for name, values in rows.items()}
+    layout = RecordLayout([_NODE_LOAD] * -(-sum(widths.values()) // _NODE_LOAD), (), **widths)
+    return layout.upload(arrays, **rows)
+
+
+def _write(records: Records, nodes: torch.Tensor, **tensors: torch.Tensor) -> None:
+    """Overwrites numbers of nodes, by their indices (M,), with tensors (..., M)."""
+    values = {name: [_row(records.arrays, row) for row in as_rows(t)] for name, t in tensors.items()}
+    records.write(records.arrays.plain.UInt(nodes.numpy()), **values)

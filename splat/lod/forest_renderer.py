@@ -117,14 +117,10 @@ class ForestRenderer:
     def _drawn(
         self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice, rate: int = 0
     ) -> list[SplatImage]:
-        """An image of each group of entries, which lie one above the other; all count the nodes of all.
+        """An image of each group of entries, which lie one above the other, from the top down.
 
-        They are black images of the frame's size if no node shows in any entry.
-
-        Args:
-            groups: of entries, from the top down.
-            cutoff: as in `render`.
-            rate: finest that the camera's entries may have.
+        All count the nodes of all; they are black images of the frame's size if no node shows in any entry.
+        `rate` is the finest that entries may have.
         """
         entries = [entry for group in groups for entry in group]
         self._check(entries, cutoff)
@@ -229,12 +225,9 @@ class CachedLayerImages:
         (self._atlas,) = renderer._drawn(camera, [self._entries], cutoff)
 
     def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
-        """The frame with the given weights.
+        """The wanted cells (rows, columns) of TILE pixels of the frame.
 
-        Args:
-            weights: of each image (rows + 1, columns + 1), at the corners of cells of TILE pixels; they sum
-                to 1 wherever a cell is wanted.
-            wanted: (rows, columns) bool, cells that are composited at all.
+        The weights of the images, (rows + 1, columns + 1) at the corners of cells, sum to 1 in wanted cells.
         """
         entries = [
             replace(entry, image=replace(entry.image, weight=weight), cells=cells)

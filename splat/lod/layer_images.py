@@ -70,12 +70,7 @@ class Under:
 
 
 def pack_atlas(images: Sequence[LayerImage], wanted: Mask, top: int = 0) -> list[AtlasEntry]:
-    """Atlas entries of the images that show in the wanted cells.
-
-    Args:
-        wanted: (rows, columns) bool, cells of the frame that are drawn at all.
-        top: the first row of samples that is free.
-    """
+    """Atlas entries of the images that show in wanted cells (rows, columns), from row `top` of samples on."""
     entries = []
     for image in images:
         cells = covered_cells(image.weight) & wanted

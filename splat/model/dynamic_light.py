@@ -69,13 +69,9 @@ class LightCourse:
         kept = (self.nodes >= first) & (self.nodes < end)
         position = torch.cumsum(kept, 0) - 1
         sided = kept[self.sided]
-        return LightCourse(
-            self.nodes[kept],
-            self.factors[..., kept],
-            position[self.sided[sided]],
-            self.behind[..., sided],
-            self.normals[:, sided],
-        )
+        own, behind = self.factors[..., kept], self.behind[..., sided]
+        which = position[self.sided[sided]]
+        return LightCourse(self.nodes[kept], own, which, behind, self.normals[:, sided])
 
 
 def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
@@ -96,13 +92,9 @@ def factors_at(factors: torch.Tensor, time: float) -> torch.Tensor:
 def seen_from_behind(
     normals: torch.Tensor, rest: torch.Tensor, rotations: torch.Tensor, means: torch.Tensor, eye: torch.Tensor
 ) -> torch.Tensor:
-    """(B,) whether nodes are seen from behind.
+    """(B,) whether nodes, with centres (3, B) now, are seen from behind by an eye (3,).
 
-    Args:
-        normals: (3, B) towards the front at rest.
-        rest, rotations: (4, B) quaternions of the nodes at rest and now, of any length.
-        means: (3, B) where they are now.
-        eye: (3,) where they are seen from.
+    Normals (3, B) point to the front at rest; rotations (4, B), at rest and now, may have any length.
     """
     turn = multiplied(rotations, rest * rest.new_tensor([1, -1, -1, -1])[:, None])
     now = turned(turn / turn.norm(dim=0, keepdim=True).clamp(min=1e-12), normals)
@@ -230,10 +222,8 @@ class SurfaceLight:
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
         """(2, N) int64 points that nodes have their light from, seen from in front and from behind.
 
-        -1 for nodes whose light does not change; the same point twice for what has one side only.
-
-        Args:
-            means, instance: (3, N) centres at rest, and (N,) what moves them.
+        -1 for nodes whose light does not change; the same point twice for what has one side only. The nodes'
+        centres (3, N) are those at rest.
         """
         nearest, within = self._nearest(means, instance)
         front = torch.from_numpy(nearest)
@@ -291,11 +281,10 @@ class NodeLight:
         """Indices (C,) of those of M nodes whose light changes, and their factors (3, C)."""
         changed = torch.nonzero(near[0] >= 0)[:, 0]
         front, back = near[:, changed]
-        turns, now, means = (t[:, changed] for t in (rest.rotations, shown.rotations, shown.means))
+        at_rest, now, means = (t[:, changed] for t in (rest.rotations, shown.rotations, shown.means))
         eye = torch.from_numpy(camera.position.copy()).float()
-        behind = seen_from_behind(self.surface.normals[:, front], turns, now, means, eye)
-        point = torch.where(behind, back, front)
-        return changed, factors_at(self.surface.factors, time)[:, point]
+        behind = seen_from_behind(self.surface.normals[:, front], at_rest, now, means, eye)
+        return changed, factors_at(self.surface.factors, time)[:, torch.where(behind, back, front)]
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""

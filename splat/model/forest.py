@@ -9,7 +9,7 @@ below as its own child. Otherwise the finer layers would have a hole in its plac
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -117,14 +117,11 @@ def forest_of(
         order = z_curve_order(means_of(layer.gaussians))
         moved = layer.select(torch.from_numpy(order))
         if position is not None:
-            parent = torch.from_numpy(position[moved.parent.numpy()].astype(np.int32))
-            moved = replace(moved, parent=parent)
+            moved = moved.under(position[moved.parent.numpy()])
         position = np.empty(len(layer), dtype=np.int64)
         position[order] = np.arange(len(layer))
         arranged.append(moved)
     counts = tuple(len(layer) for layer in layers)
     nodes = concatenated_layers(arranged)
     course = None if light is None else light.course(nodes)
-    return Forest(
-        nodes, counts, trained_focal, scene_name, scene_hash, place=place, motion=motion, light=course
-    )
+    return Forest(nodes, counts, trained_focal, scene_name, scene_hash, {}, place, motion, course)

@@ -7,11 +7,14 @@ radiance 50 is only 5.3.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import torch
+
+from compose.image.colour import SRGB_DARK, SRGB_DARK_VALUE, SRGB_SLOPE, linear_power, srgb_power
 
 # Factors of the real spherical harmonics, in the order of 3D Gaussian splatting's files.
 SH_DC = 0.28209479177387814
@@ -24,6 +27,11 @@ MAX_DEGREE = 3
 def sh_count(degree: int) -> int:
     """Coefficients per channel: (degree + 1)^2."""
     return (degree + 1) ** 2
+
+
+def as_rows(tensor: torch.Tensor) -> torch.Tensor:
+    """(R, N) rows of a tensor (..., N)."""
+    return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
 
 
 # Names of the tensors that all Gaussians have.
@@ -154,13 +162,13 @@ class Gaussians:
     def turning(self, kept: torch.Tensor) -> Gaussians:
         """The same Gaussians, of which only those at a mask (N,) keep harmonics above the constant one."""
         if self.directional is not None:
-            stay = kept[self.directional.index]
-            further = Directional(self.directional.index[stay], self.directional.sh[..., stay].contiguous())
+            kept = kept[self.directional.index]
+            index, sh = self.directional.index[kept], self.directional.sh[..., kept]
         else:
             # Of degree 0, there is nothing to keep.
             kept = kept if self.degree else torch.zeros_like(kept)
-            further = Directional(torch.nonzero(kept)[:, 0], self.sh[1:, :, kept].contiguous())
-        return replace(self, sh=self.sh[:1].contiguous(), directional=further)
+            index, sh = torch.nonzero(kept)[:, 0], self.sh[1:, :, kept]
+        return replace(self, sh=self.sh[:1].contiguous(), directional=Directional(index, sh.contiguous()))
 
     def all_turning(self) -> Gaussians:
         """The same Gaussians with all harmonics in `sh`; those that some did not have are 0."""
@@ -168,10 +176,14 @@ class Gaussians:
             return self
         further = self.directional.sh
         if len(self.directional) < len(self):
-            further = self.sh.new_zeros(further.shape[0], 3, len(self)).index_copy(
-                2, self.directional.index, further
-            )
+            none = self.sh.new_zeros(len(further), 3, len(self))
+            further = none.index_copy(2, self.directional.index, further)
         return replace(self, sh=torch.cat([self.sh, further]), directional=None)
+
+    def replaced(self, index: torch.Tensor, **tensors: torch.Tensor) -> Gaussians:
+        """The same Gaussians, of which those at an index (M,) have other tensors (..., M), given by name."""
+        whole = {name: getattr(self, name).index_copy(-1, index, part) for name, part in tensors.items()}
+        return replace(self, **whole)
 
     def is_finite(self) -> bool:
         """Whether every number is finite."""
@@ -196,18 +208,15 @@ def concatenated(parts: list[Gaussians]) -> Gaussians:
 def written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gaussians:
     """N Gaussians, of which those at an index (M,) are others; `part` has M of the same degree."""
     if gaussians.directional is not None or part.directional is not None:
-        gaussians, part = apart(gaussians), apart(part)
+        former = torch.ones(len(gaussians), dtype=torch.bool).index_fill(0, index, False)
+        gaussians, part = apart(gaussians).turning(former), apart(part)
         assert gaussians.directional is not None
         assert part.directional is not None
-        former = torch.ones(len(gaussians), dtype=torch.bool).index_fill(0, index, False)
-        stay = former[gaussians.directional.index]
-        which = torch.cat([gaussians.directional.index[stay], index[part.directional.index]])
-        sh = torch.cat([gaussians.directional.sh[..., stay], part.directional.sh], dim=-1)
+        which = torch.cat([gaussians.directional.index, index[part.directional.index]])
+        sh = torch.cat([gaussians.directional.sh, part.directional.sh], dim=-1)
         order = torch.argsort(which)
         gaussians = replace(gaussians, directional=Directional(which[order], sh[..., order]))
-    pairs = zip(gaussians.tensors(), part.tensors(), strict=True)
-    copied = (own.index_copy(-1, index, other) for (_, own), (_, other) in pairs)
-    return Gaussians(*copied, directional=gaussians.directional)
+    return gaussians.replaced(index, **dict(part.tensors()))
 
 
 def apart(gaussians: Gaussians) -> Gaussians:
@@ -234,11 +243,11 @@ def _check_directional(directional: Directional, constant: int, count: int) -> N
 
 def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
     """The sRGB curve on linear radiance >= 0, continued above 1 by the same power."""
-    power = 1.055 * radiance.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
-    return torch.where(radiance <= 0.0031308, 12.92 * radiance, power)
+    power = srgb_power(radiance.clamp(min=SRGB_DARK))
+    return torch.where(radiance <= SRGB_DARK, SRGB_SLOPE * radiance, power)
 
 
 def radiance_from_perceptual(value: torch.Tensor) -> torch.Tensor:
     """The inverse of `perceptual_from_radiance`, of values >= 0."""
-    power = ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
-    return torch.where(value <= 0.04045, value / 12.92, power)
+    power = linear_power(value.clamp(min=SRGB_DARK_VALUE))
+    return torch.where(value <= SRGB_DARK_VALUE, value / SRGB_SLOPE, power)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from splat.model.gaussians import Gaussians, concatenated
 
@@ -52,16 +54,16 @@ class Layer:
         """The nodes from start up to end; shares this layer's memory."""
         return Layer(self.gaussians.part(start, end), *(tensor[start:end] for _, tensor in self.labels()))
 
+    def under(self, parent: NDArray[np.integer]) -> Layer:
+        """The same nodes under other parents (N,), indices in the layer above."""
+        return replace(self, parent=torch.from_numpy(parent.astype(np.int32)))
+
 
 def static_layer(gaussians: Gaussians) -> Layer:
     """Gaussians without parents, all of them static background."""
     n = len(gaussians)
-    return Layer(
-        gaussians,
-        torch.full((n,), NO_PARENT, dtype=torch.int32),
-        torch.full((n,), BACKGROUND, dtype=torch.int32),
-        torch.zeros(n, dtype=torch.bool),
-    )
+    parent, semantic = (torch.full((n,), none, dtype=torch.int32) for none in (NO_PARENT, BACKGROUND))
+    return Layer(gaussians, parent, semantic, torch.zeros(n, dtype=torch.bool))
 
 
 def without_parents(layer: Layer) -> Layer:
@@ -71,10 +73,8 @@ def without_parents(layer: Layer) -> Layer:
 
 def concatenated_layers(parts: list[Layer]) -> Layer:
     """All nodes of several parts of one layer, in order."""
-    return Layer(
-        concatenated([p.gaussians for p in parts]),
-        *(torch.cat([getattr(p, name) for p in parts]) for name in LABELS),
-    )
+    labels = (torch.cat([getattr(p, name) for p in parts]) for name in LABELS)
+    return Layer(concatenated([p.gaussians for p in parts]), *labels)
 
 
 def check_forest(layers: list[Layer]) -> None:

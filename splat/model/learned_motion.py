@@ -30,13 +30,9 @@ class Deformation:
         D-GS adds growths after the exponential, where they can make scales negative; here they are added
         before it.
         """
-        unit = gaussians.rotations / gaussians.rotations.norm(dim=0, keepdim=True)
-        return replace(
-            gaussians,
-            means=gaussians.means + self.shifts,
-            rotations=unit + self.turns,
-            log_scales=gaussians.log_scales + self.growths,
-        )
+        turned = gaussians.rotations / gaussians.rotations.norm(dim=0, keepdim=True) + self.turns
+        moved, grown = gaussians.means + self.shifts, gaussians.log_scales + self.growths
+        return replace(gaussians, means=moved, rotations=turned, log_scales=grown)
 
 
 class Heads(torch.nn.Module):
@@ -72,9 +68,7 @@ class DeformationNetwork(torch.nn.Module):
     def __init__(self) -> None:
         super().__init__()
         width = 3 * (1 + 2 * _PLACES) + 1 + 2 * _TIMES
-        inputs = [width] + [
-            _NETWORK_WIDTH + (width if index - 1 == _JOINED else 0) for index in range(1, _DEPTH)
-        ]
+        inputs = [width, *(_NETWORK_WIDTH + width * (index == _JOINED) for index in range(_DEPTH - 1))]
         self.layers = torch.nn.ModuleList(torch.nn.Linear(size, _NETWORK_WIDTH) for size in inputs)
         self.heads = Heads(_NETWORK_WIDTH, hidden=False)
 
@@ -178,7 +172,8 @@ class LearnedMotion:
         """A motion before training, for nodes in a box with corners (3,)."""
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            return LearnedMotion(kind, _field(kind, low, high))
+            field = DeformationNetwork() if kind is FieldKind.D_GS else HexPlane(low, high)
+        return LearnedMotion(kind, field)
 
     @staticmethod
     def restored(tensors: dict[str, torch.Tensor]) -> LearnedMotion:
@@ -188,7 +183,7 @@ class LearnedMotion:
             KeyError, ValueError, RuntimeError: they are those of no field.
         """
         (kind,) = (FieldKind(name) for name in {name.split(".", 1)[0] for name in tensors})
-        motion = LearnedMotion(kind, _field(kind, torch.zeros(3), torch.ones(3)))
+        motion = LearnedMotion.begun(kind, torch.zeros(3), torch.ones(3), 0)
         motion.restore(tensors)
         motion.field.requires_grad_(False)
         return motion
@@ -198,25 +193,21 @@ class LearnedMotion:
         self.field.load_state_dict({name.split(".", 1)[1]: tensor for name, tensor in tensors.items()})
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`."""
         moving = torch.nonzero(instance >= 0)[:, 0]
         if len(moving) == len(gaussians):
             return self.field(gaussians.means, time).applied(gaussians)
         if not len(moving):
             return gaussians
         deformed = self.field(gaussians.means[:, moving], time).applied(gaussians.select(moving))
-        names = "means", "rotations", "log_scales"
-        parts = {
-            name: getattr(gaussians, name).index_copy(1, moving, getattr(deformed, name)) for name in names
-        }
-        return replace(gaussians, **parts)
+        parts = {name: getattr(deformed, name) for name in ("means", "rotations", "log_scales")}
+        return gaussians.replaced(moving, **parts)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """See `Dynamics`; a field knows nothing that all times share."""
+        # A field knows nothing that all times share.
         return partial(self.shown, gaussians, instance)
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`; as turned and as large as they are shown.
+        """The way back: as turned and as large as they are shown.
 
         Nodes are as far from rest as the nearest anchor of their instance; without anchors, as they would be
         if they were at rest where they are shown (first order).
@@ -239,7 +230,3 @@ class LearnedMotion:
 
     def __len__(self) -> int:
         return _ANY_NUMBER
-
-
-def _field(kind: FieldKind, low: torch.Tensor, high: torch.Tensor) -> Field:
-    return DeformationNetwork() if kind is FieldKind.D_GS else HexPlane(low, high)

@@ -25,9 +25,7 @@ class Dynamics(Protocol):
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
         """Gaussians as they are at a time from 0 to 1; torch can differentiate them by those at rest.
 
-        Args:
-            gaussians: N Gaussians at rest.
-            instance: (N,) that each belongs to; below 0, it stays where it is.
+        Those of an instance (N,) below 0 stay where they are.
         """
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
@@ -120,11 +118,9 @@ class NodeMotion:
             raise ValueError(f"instances of {self.pieces.tolist()} pieces; there are poses of {count}")
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All numbers, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __len__(self) -> int:
-        """Number of instances."""
         return len(self.pieces)
 
     def at(self, time: float) -> Poses:
@@ -136,17 +132,15 @@ class NodeMotion:
         return Poses(rotations, offsets, self.centres, self.pieces)
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`."""
         return self.course(gaussians, instance)(time)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """See `Dynamics`."""
         # Which pieces a node follows is told at rest, whatever the time.
         followed = _followed(gaussians, instance, self.at(0.0))
         return lambda time: _posed(gaussians, followed, self.at(time))
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`; exact for instances of one piece."""
+        """Exact for instances of one piece."""
         return posed(gaussians, instance, self.at(time).inverse())
 
     def placed(self, place: Place) -> NodeMotion:
@@ -178,11 +172,7 @@ def _posed(gaussians: Gaussians, followed: _Followed, poses: Poses) -> Gaussians
         return gaussians
     means, rotations = _blended(poses, pieces, weights, gaussians.means[:, moving])
     orientations = multiplied(rotations, gaussians.rotations[:, moving])
-    return replace(
-        gaussians,
-        means=gaussians.means.index_copy(1, moving, means),
-        rotations=gaussians.rotations.index_copy(1, moving, orientations),
-    )
+    return gaussians.replaced(moving, means=means, rotations=orientations)
 
 
 def _blended(

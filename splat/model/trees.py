@@ -90,15 +90,11 @@ NEIGHBOURS = 16
 def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[Layer, Ints]:
     """Gives a parent to every node of a layer that has none, if necessary a new one.
 
-    Args:
-        parent: (N,) index of each node's parent in the layer above; -1 for none.
-        tries: how many parents a node tries; the paper's algorithm tries one.
-
-    Returns:
-        The layer above with the new parents after the given nodes, and the parent (N,) of every node below.
+    A node tries so many; the paper's algorithm tries one. Parents (N,) are indices in the layer above, -1 for
+    none. Returns that layer, the new parents after the given nodes, and the parent (N,) of every node below.
     """
     parent = parent.copy()
-    codes_below, codes_above = label_codes(below, above)
+    codes_below, codes_above = label_codes(below), label_codes(above)
     room = np.full(len(above), MAX_CHILDREN) - np.bincount(parent[parent >= 0], minlength=len(above))
     made: list[Layer] = []
     count = len(above)
@@ -119,21 +115,16 @@ def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[
     return concatenated_layers([above, *made]), parent
 
 
-def label_codes(below: Layer, above: Layer) -> tuple[Ints, Ints]:
-    """One number per node of each layer, equal for nodes with the same labels."""
-    codes = [2 * layer.semantic.numpy().astype(np.int64) + layer.dynamic.numpy() for layer in (below, above)]
-    return codes[0], codes[1]
+def label_codes(layer: Layer) -> Ints:
+    """(N,) one number per node, equal for nodes with the same labels."""
+    return 2 * layer.semantic.numpy().astype(np.int64) + layer.dynamic.numpy()
 
 
 class _ParentSearch:
-    """The loop of Algorithm 1 (lines 3 to 12), child by child.
+    """The loop of Algorithm 1 (lines 3 to 12): children (N, 3) choose among parents (M, 3), one by one.
 
-    Each child tries the nearest parents in turn, including those made for earlier children. If none of
-    `tries` parents has room, a new one is made at the child's own position.
-
-    Args:
-        children, parents: (N, 3) and (M, 3) centres, children in the order in which they choose.
-        room: (M,) children that each parent can still take.
+    Each tries the nearest parents in turn, including those made for earlier children. If none of `tries`
+    parents has room left (M,), a new one is made at the child's own position.
     """
 
     def __init__(self, children: Floats, parents: Floats, room: Ints, tries: int):
@@ -153,7 +144,11 @@ class _ParentSearch:
         for child in range(len(self._children)):
             chosen = next((parent for parent in self._nearest(child) if self._room[parent] > 0), None)
             if chosen is None:
-                chosen = self._make(child)
+                chosen = self._given + self._count
+                self._made_for[child] = self._count
+                self._made[self._count] = self._children[child]
+                self._count += 1
+                self._room.append(MAX_CHILDREN)
             self._room[chosen] -= 1
             result[child] = chosen
         return result
@@ -181,13 +176,6 @@ class _ParentSearch:
             candidates.sort()
         return [parent for _, parent in candidates[:tries]]
 
-    def _make(self, child: int) -> int:
-        self._made_for[child] = self._count
-        self._made[self._count] = self._children[child]
-        self._count += 1
-        self._room.append(MAX_CHILDREN)
-        return self._given + self._count - 1
-
 
 def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
     """New parents: twice the size of an only child, or the moments of two.
@@ -210,10 +198,8 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
 
-    The layers, coarsest first, do not depend on the order of the set in memory.
-
-    Args:
-        pixel: size in world space of a pixel of the training frames at their mean depth.
+    The layers, coarsest first, do not depend on the order of the set in memory. `pixel` is the size in world
+    space of a pixel of the training frames at their mean depth.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
     size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
@@ -229,7 +215,7 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
         parent = np.full(len(below), NO_PARENT, dtype=np.int64)
         parent[itself] = np.arange(int(itself.sum()))
         above, parent = with_parents(below, above, parent, tries=1)
-        forest.insert(0, replace(below, parent=torch.from_numpy(parent.astype(np.int32))))
+        forest.insert(0, below.under(parent))
         origin = np.concatenate([origin[itself], np.full(len(above) - int(itself.sum()), -1)])
         below = above
     return [below, *forest]
@@ -259,23 +245,17 @@ def settle(layers: list[Layer]) -> list[Layer]:
         parent = _kept_parents(below, above)
         above, parent = with_parents(below, above, parent, tries=NEIGHBOURS)
         below, parent = _with_children(below, above, parent)
-        settled[0] = replace(below, parent=torch.from_numpy(parent.astype(np.int32)))
-        settled.insert(0, above)
+        settled[:1] = above, below.under(parent)
     settled[0] = without_parents(settled[0])
-    # Copies were added as children to layers that were complete already; they need children as well.
-    return _grown_down(settled)
-
-
-def _grown_down(layers: list[Layer]) -> list[Layer]:
-    """Gives every node without children a copy of itself as a child, from the top down."""
-    for index in range(len(layers) - 1):
-        above, below = layers[index], layers[index + 1]
+    # Copies were added as children to layers that were complete already. They need children as well: copies
+    # of their own, from the top down.
+    for index in range(1, len(settled)):
+        above, below = settled[index - 1 : index + 1]
         childless = np.setdiff1d(np.arange(len(above)), below.parent.numpy())
         if len(childless):
-            copies = above.select(torch.from_numpy(childless))
-            copies = replace(copies, parent=torch.from_numpy(childless.astype(np.int32)))
-            layers[index + 1] = concatenated_layers([below, copies])
-    return layers
+            copies = above.select(torch.from_numpy(childless)).under(childless)
+            settled[index] = concatenated_layers([below, copies])
+    return settled
 
 
 def _kept_parents(below: Layer, above: Layer) -> Ints:
@@ -287,7 +267,7 @@ def _kept_parents(below: Layer, above: Layer) -> Ints:
     turn = Rotation.from_quat(quaternions_xyzw(above.gaussians)[of])
     local = turn.inv().apply(offset) if len(known) else offset
     inside = (local / np.exp(rows_of(above.gaussians.log_scales))[of]) ** 2
-    codes_below, codes_above = label_codes(below, above)
+    codes_below, codes_above = label_codes(below), label_codes(above)
     stays = (inside.sum(axis=1) <= 1) & (codes_below[known] == codes_above[of])
     kept = np.full(len(below), NO_PARENT, dtype=np.int64)
     kept[known[stays]] = of[stays]
@@ -313,7 +293,7 @@ def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Int
     """
     parent = parent.copy()
     count = np.bincount(parent, minlength=len(above))
-    codes_below, codes_above = label_codes(below, above)
+    codes_below, codes_above = label_codes(below), label_codes(above)
     childless = np.flatnonzero(count == 0)
     near = Neighbours(means_of(below.gaussians), means_of(above.gaussians)[childless], NEIGHBOURS)
     without = []

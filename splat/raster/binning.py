@@ -85,7 +85,7 @@ class Candidates:
     """Tiles that each splat may touch, from which the lists of any part of the frame are made.
 
     Args:
-        splats: N projected Gaussians, arrays without derivatives.
+        splats: without derivatives.
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
         bounds: tiles that each splat is confined to; all by default.
         in_order: whether splats that meet in a tile come from near to far already.

@@ -43,15 +43,12 @@ def rasterize(
     images: list[Any] | None = None,
     heights: Sequence[int] | None = None,
 ) -> list[Any]:
-    """Renders linear radiance and opacity of the wanted tiles; other tiles are 0.
+    """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
     Args:
-        splats: without derivatives.
-        images: what the tiles are drawn into; new images by default.
+        images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the
+            top; new ones by default.
         heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
-
-    Returns:
-        Flat Floats: padded height x padded width x 4, rows from the top.
     """
     Float, heights = arrays.plain.Float, heights or [bins.grid.rows]
     # New images need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
@@ -234,15 +231,14 @@ def _block_sums(
 ) -> list[Any]:
     """Sums over a block's pixels for one splat, and the step past that splat.
 
+    They are of dL/dpower times 1, u, v, u^2, u v, v^2, where power = ln alpha and u and v are those of
+    `Blocks.log2_alphas`, and of dL/dcolour times the weight of the pixel, three channels.
+
     Args:
         flow: derivative of the loss by the radiance, three channels per pixel.
         transmittance: per pixel in front of the splat; on return, behind it.
         behind: per pixel the light from the splat and from behind it, weighted by `flow`; on return, only
             that from behind it.
-
-    Returns:
-        Sums of dL/dpower times 1, u, v, u^2, u v, v^2, where power = ln alpha and u and v are those of
-        `Blocks.log2_alphas`, and of dL/dcolour times the weight of the pixel, three channels.
     """
     radiance = splat.red, splat.green, splat.blue
     moments = [arrays.plain.Float(0) for _ in range(6)]
@@ -259,20 +255,14 @@ def _block_sums(
         by_alpha = dr.fma(transmittance[pixel], own, -behind[pixel] * dr.rcp(1 - alpha))
         by_power = dr.select(seen & (unclamped < MAXIMUM_ALPHA), by_alpha * alpha, 0)
         transmittance[pixel] = transmittance[pixel] - weight
-        _add_moments(moments, by_power, u, v)
+        along_u, along_v = by_power * u, by_power * v
+        for k, term in enumerate((by_power, along_u, along_v)):
+            moments[k] = moments[k] + term
+        for k, (along, by) in enumerate(((along_u, u), (along_u, v), (along_v, v)), 3):
+            moments[k] = dr.fma(along, by, moments[k])
         for c in range(3):
             colours[c] = dr.fma(weight, here[c], colours[c])
     return moments + colours
-
-
-def _add_moments(moments: list[Any], by_power: Any, u: Any, v: Any) -> None:
-    """Adds by_power times 1, u, v, u^2, u v, v^2."""
-    along_u, along_v = by_power * u, by_power * v
-    for k, term in enumerate((by_power, along_u, along_v)):
-        moments[k] = moments[k] + term
-    moments[3] = dr.fma(along_u, u, moments[3])
-    moments[4] = dr.fma(along_u, v, moments[4])
-    moments[5] = dr.fma(along_v, v, moments[5])
 
 
 def _sum_runs(arrays: Arrays, bins: Bins, slots: Records, sums: list[Any]) -> list[Any]:
@@ -301,7 +291,7 @@ def gradients_from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
     power = ln opacity - (x_precision t^2 + y_precision dy^2) / 2 with t = dx + shear dy, and u^2 and v^2 are
     those squares times log2(e) / 2.
     """
-    s, su, sv, suu, suv, svv, red, green, blue = sums
+    s, su, sv, suu, suv, svv, *colour = sums
     to_x, to_y = (dr.sqrt((2 / LOG2_E) * value) for value in (splats.x_precision, splats.y_precision))
     by_x = to_x * su
     gradients = [
@@ -311,9 +301,7 @@ def gradients_from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
         -to_x * suv * dr.rsqrt((0.5 * LOG2_E) * splats.y_precision),
         svv * dr.rcp(-LOG2_E * splats.y_precision),
         dr.select(splats.opacity > 0, s * dr.rcp(dr.maximum(splats.opacity, 1e-12)), 0),
-        red,
-        green,
-        blue,
+        *colour,
     ]
     dr.eval(gradients)
     return gradients

@@ -37,11 +37,7 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it rounds a float to an integer in 
 
 
 class Blocks:
-    """Lanes that own a block of pixels each.
-
-    Args:
-        tile: UInt (M,), tile of each lane.
-        number: UInt (M,), of its block in the tile, row by row.
+    """Lanes (M,) that own a block of pixels each, given by its tile and its number in that, row by row.
 
     Attributes:
         side, pixels: of a block in pixels, and their number.
@@ -123,10 +119,8 @@ class Shown:
     def following(self, i: Any, last: Any, number: Any) -> Any:
         """The first pair from `i` on that a block shows; `last` or above where none is left.
 
-        Args:
-            i: of each lane, a pair of its tile's list or `last`.
-            last: end of that list.
-            number: of the lane's block in its tile, row by row.
+        Of each lane, `i` is a pair of its tile's list or `last`, the end of that list, and `number` that of
+        its block in the tile, row by row.
         """
         UInt = self._arrays.plain.UInt
 

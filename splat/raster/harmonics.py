@@ -6,34 +6,29 @@ from typing import Any
 
 import drjit as dr
 
+from compose.image.colour import SRGB_DARK_VALUE, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE, srgb_power
 from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
 
 # Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr), 1.6e9 cd / m^2. Its square,
 # summed over all pixels of a frame and multiplied by what the gradient needs, still fits float32.
 LARGEST_RADIANCE = 1e12
-_LARGEST_PERCEPTUAL = 1.055 * LARGEST_RADIANCE ** (1 / 2.4) - 0.055
+_LARGEST_PERCEPTUAL = srgb_power(LARGEST_RADIANCE)
 
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
-    """Perceptual radiance of the three channels, each (N,).
+    """Perceptual radiance, three channels (N,), from those of each harmonic, along unit vectors x, y, z."""
+    return [0.5 + channel for channel in sh_sums(sh, sh_basis(len(sh), direction))]
 
-    Args:
-        sh: for each spherical harmonic its three channels, each (N,).
-        direction: x, y, z of the unit vector from the camera to the Gaussian, each (N,).
-    """
-    basis = sh_basis(len(sh), direction)
-    return [
-        0.5 + sum(coefficient[c] * value for coefficient, value in zip(sh, basis, strict=True))
-        for c in range(3)
-    ]
+
+def sh_sums(sh: list[list[Any]], basis: list[Any]) -> list[Any]:
+    """Sums of coefficients, three channels each, times their harmonics: three channels."""
+    return [sum(row[c] * value for row, value in zip(sh, basis, strict=True)) for c in range(3)]
 
 
 def sh_basis(count: int, direction: list[Any]) -> list[Any]:
-    """The first `count` real spherical harmonics, with the signs of 3D Gaussian splatting's files.
+    """The first 1, 4, 9 or 16 real spherical harmonics, with the signs of 3D Gaussian splatting's files.
 
-    Args:
-        count: 1, 4, 9 or 16.
-        direction: x, y, z of unit vectors, numbers of any kind.
+    The direction is x, y, z of unit vectors, numbers of any kind.
     """
     x, y, z = direction
     basis: list[Any] = [SH_DC]
@@ -63,5 +58,6 @@ def radiance_from_perceptual(perceptual: Any) -> Any:
     every pixel near the Gaussian into a NaN.
     """
     value = dr.clip(perceptual, 0, _LARGEST_PERCEPTUAL)
-    bright = dr.exp2(2.4 * dr.log2((dr.maximum(value, 0.04045) + 0.055) * (1 / 1.055)))
-    return dr.select(value <= 0.04045, value * (1 / 12.92), bright)
+    shifted = dr.maximum(value, SRGB_DARK_VALUE) + SRGB_OFFSET
+    bright = dr.exp2(SRGB_GAMMA * dr.log2(shifted * (1 / SRGB_SCALE)))
+    return dr.select(value <= SRGB_DARK_VALUE, value * (1 / SRGB_SLOPE), bright)

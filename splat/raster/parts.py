@@ -54,15 +54,13 @@ class Parts:
             return
         # Rows first: only then do the parts follow one another as the tiles do.
         if middle_y > window.top:
-            upper = TileWindow(window.left, window.top, window.right, middle_y)
-            lower = TileWindow(window.left, middle_y, window.right, window.bottom)
+            halves = window._replace(bottom=middle_y), window._replace(top=middle_y)
         else:
-            upper = TileWindow(window.left, window.top, middle_x, window.bottom)
-            lower = TileWindow(middle_x, window.top, window.right, window.bottom)
+            halves = window._replace(right=middle_x), window._replace(left=middle_x)
         # Not kept while its halves are drawn.
         del runs
-        yield from self._lists(upper)
-        yield from self._lists(lower)
+        for half in halves:
+            yield from self._lists(half)
 
 
 def rasterize_parts(

@@ -23,7 +23,7 @@ import numpy as np
 from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC
-from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis
+from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis, sh_sums
 from splat.raster.records import Records
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
@@ -117,11 +117,9 @@ class Parameters:
 
 
 def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
-    """Projects Gaussians onto a camera's film and filters them.
+    """Projects Gaussians onto a camera's film and filters them, differentiably.
 
-    Args:
-        parameters: the Gaussians; if Dr.Jit differentiates them, it differentiates the splats.
-        low_pass: variance in px^2 that is added to each 2D covariance; a float or an array (N,).
+    The low-pass, a float or an array (N,), is the variance in px^2 that is added to each 2D covariance.
     """
     return filtered(footprints(parameters, camera), low_pass)
 
@@ -193,16 +191,11 @@ def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> t
 
 
 def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
-    """What harmonics above the constant one look like from an eye, as a constant one: three channels (N,).
-
-    Args:
-        sh: for each of these harmonics its three channels.
-        camera: whose eye it is, in the same coordinates.
-    """
+    """How a camera sees harmonics above the constant one, three channels each: as a constant one."""
     number: Any = type(means[0])
     eye = _opaque(number, camera)[1]
     basis = sh_basis(len(sh) + 1, _normalized([number(part) for part in _from_eye(means, eye)]))[1:]
-    return [sum(row[c] * value for row, value in zip(sh, basis, strict=True)) / SH_DC for c in range(3)]
+    return [channel / SH_DC for channel in sh_sums(sh, basis)]
 
 
 def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:
@@ -223,9 +216,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pass: float) -> Any:
     """Mask (N,) of all Gaussians that are drawn in a camera's frame, and of some beside it.
 
-    Args:
-        size: (N,) longest axis, as a standard deviation.
-        low_pass: variance in px^2 of the filter on the screen.
+    Their sizes (N,) are longest axes, as standard deviations; the low-pass is as in `project`.
     """
     seen, x, y, spread = view_position(arrays, means, camera)
     reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)

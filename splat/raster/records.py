@@ -55,8 +55,7 @@ class RecordLayout:
         slots: width of each slot in floats, in the order in which they lie in memory.
 
     Attributes:
-        slots: which of a record's floats each slot is.
-        packets: one per load.
+        slots, packets: which of a record's floats each slot is, and what each load brings.
         spare: number of floats that no slot uses.
 
     Raises:
@@ -84,11 +83,9 @@ class RecordLayout:
                 end += size
 
     def pack(self, arrays: Arrays, **values: Any) -> Records:
-        """Packs arrays that are on the device.
+        """Packs arrays that are on the device: by slot (N,), or a list of them for a slot wider than 1.
 
-        Args:
-            values: by slot an array (N,), or a list of them for a slot wider than 1; arrays of width 1 are
-                broadcast.
+        Arrays of width 1 are broadcast.
 
         Raises:
             ValueError: the names are not those of the slots.
@@ -96,10 +93,9 @@ class RecordLayout:
         self._check_names(values)
         floats: list[Any] = []
         for name, slot in self.slots.items():
-            row = values[name]
-            if name in self.integers:
-                row = dr.reinterpret_array(arrays.plain.Float, row)
-            floats += [row] if slot.stop - slot.start == 1 else list(row)
+            rows = [values[name]] if slot.stop - slot.start == 1 else values[name]
+            is_integer = name in self.integers
+            floats += [dr.reinterpret_array(arrays.plain.Float, row) if is_integer else row for row in rows]
         floats += [arrays.plain.Float(0) for _ in range(self.spare)]
         count = max(dr.width(row) for row in floats)
         return self.scattered(arrays, [arrays.plain.ArrayXf(floats[p.floats]) for p in self.packets], count)
@@ -113,10 +109,7 @@ class RecordLayout:
         return Records(arrays, self, tables)
 
     def rows(self, **values: Any) -> NDArray[np.float32]:
-        """(N, floats) records of numbers in host memory.
-
-        Args:
-            values: by slot numbers (N,), or (width, N) for a slot wider than 1.
+        """(N, floats) records of numbers in host memory: by slot (N,), or (width, N) for a slot wider than 1.
 
         Raises:
             ValueError: the names are not those of the slots.
@@ -201,10 +194,9 @@ def concatenated_records(parts: Sequence[Records]) -> Records:
 
 
 def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -> Records:
-    """Records of a layout with a single table, and behind them, in the same array, other numbers.
+    """Records of a layout with a single table, and behind them, in the same array, other numbers of 32 bits.
 
-    Args:
-        parts: the records' rows (N, floats), and arrays of other numbers of 32 bits.
+    The first one of the parts is the records' rows (N, floats).
     """
     flat = [part.ravel().view(np.float32) for part in parts]
     # The array must be a whole number of packets.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
+from compose.image.colour import SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, linear_power
 from splat.model.gaussians import SH_DC, Gaussians
 from splat.raster.differentiable import aligned_rows, render_differentiable
 from splat.raster.projection import PIXEL_FILTER, may_show
@@ -31,8 +32,8 @@ def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tenso
 _LEAST_OPACITY = 1 / 255
 _CHANNELS = 3
 # Radiance of a Gaussian without spherical harmonics, and its derivative by the constant one.
-_GREY = ((0.5 + 0.055) / 1.055) ** 2.4
-_GREY_SLOPE = SH_DC * 2.4 / 1.055 * ((0.5 + 0.055) / 1.055) ** 1.4
+_GREY = linear_power(0.5)
+_GREY_SLOPE = SH_DC * SRGB_GAMMA / SRGB_SCALE * ((0.5 + SRGB_OFFSET) / SRGB_SCALE) ** (SRGB_GAMMA - 1)
 
 
 def contributions(

@@ -23,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from compose.base.files import under
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.gaussians import SH_DC, Gaussians
 from splat.model.layer import Layer, concatenated_layers, static_layer
@@ -40,6 +41,8 @@ _SIZE = 0.6  # standard deviation of an added Gaussian in pixels
 # Views of guessed distances that get new Gaussians in a change: what they show has to be rendered first.
 _MEASURED = 16
 
+# Prefix of errors in checkpoints.
+_STATE = "error."
 # Gives a view whose distances are guesses those that Gaussians show.
 _Measure = Callable[[TrainingView], TrainingView]
 
@@ -66,9 +69,8 @@ class DensityControl:
 
     def view_errors(self, count: int) -> NDArray[np.float64]:
         """(count,) mean of each view's latest error; NaN for one that was not seen yet."""
-        return np.array(
-            [float(self._errors[v].mean()) if v in self._errors else np.nan for v in range(count)]
-        )
+        means = {view: float(error.mean()) for view, error in self._errors.items()}
+        return np.array([means.get(view, np.nan) for view in range(count)])
 
     def is_due(self, iteration: int) -> bool:
         """Whether the set changes after this iteration, counted from 0."""
@@ -114,21 +116,17 @@ class DensityControl:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""
-        return {f"error.{view}": error for view, error in self._errors.items()}
+        return {f"{_STATE}{view}": error for view, error in self._errors.items()}
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
         """Restores what `state` returned; other tensors are ignored."""
-        self._errors = {
-            int(name.split(".")[1]): tensor for name, tensor in tensors.items() if name.startswith("error.")
-        }
+        self._errors = {int(view): error for view, error in under(_STATE, tensors).items()}
 
 
 def _draw(error: torch.Tensor, view: TrainingView, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Indices of at most `count` pixels with a surface, drawn without replacement in proportion to error."""
-    weights = error.numpy().ravel().astype(np.float64)
-    shown = np.zeros(weights.size, dtype=bool)
-    shown[view.surface_pixels] = True
-    weights[~shown] = 0
+    weights, shown = np.zeros(error.numel()), view.surface_pixels
+    weights[shown] = error.numpy().ravel()[shown]
     possible = int(np.count_nonzero(weights))
     if not possible:
         return np.zeros(0, dtype=np.int64)

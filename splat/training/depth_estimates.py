@@ -52,10 +52,8 @@ class Parallax:
     def __init__(self, views: list[TrainingView], nearest: float, farthest: float, distance: float):
         self._factor = max(1, round(float(np.sqrt(views[0].distance.size / _PIXELS))))
         self._views = [reduced(view, self._factor) for view in views]
-        self._colours = [
-            perceptual_from_radiance(torch.from_numpy(v.radiance)).numpy().astype(np.float32)
-            for v in self._views
-        ]
+        images = (torch.from_numpy(view.radiance) for view in self._views)
+        self._colours = [perceptual_from_radiance(image).numpy().astype(np.float32) for image in images]
         self._widths = [view.camera.width for view in views]
         self._positions = np.stack([view.camera.position for view in views])
         self._tried = 1 / np.linspace(1 / farthest, 1 / max(nearest, _LEAST * farthest), _TRIED)
@@ -121,8 +119,7 @@ def with_guesses(
 
     Args:
         views: of the world; distances are NaN where they are unknown, inf where nothing is.
-        points: (M, 3) some of what the views show; None if none are known.
-        bounds: nearest and farthest distance of what they show; None if nobody says.
+        points, bounds: (M, 3) some of what the views show, and its nearest and farthest distance, if known.
     """
     if not views:
         return []
@@ -175,12 +172,8 @@ def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Floats]) -
     found = guess((rows[:, None] * width + columns).ravel()).reshape(len(rows), len(columns))
     whole = np.repeat(np.repeat(found, stride, axis=0), stride, axis=1)[:height, :width]
     rays = view.rays(np.arange(height * width)).reshape(height, width, 3)
-    return replace(
-        view,
-        distance=np.where(np.isnan(view.distance), whole, view.distance).astype(np.float32),
-        normal=(-rays).astype(np.float32),
-        guessed=True,
-    )
+    distance = np.where(np.isnan(view.distance), whole, view.distance).astype(np.float32)
+    return replace(view, distance=distance, normal=(-rays).astype(np.float32), guessed=True)
 
 
 def _among_points(

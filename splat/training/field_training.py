@@ -87,11 +87,9 @@ def _loss(
 def _clouds(
     views: Sequence[TrainingView], rng: np.random.Generator
 ) -> tuple[list[dict[int, torch.Tensor]], dict[int, torch.Tensor]]:
-    """Points (M, 3) that frames show of instances.
+    """For each view, some points (M, 3) of each instance of which it shows enough.
 
-    Returns:
-        For each view, some points of each instance of which it shows enough; and those of each instance in
-        the view that shows most of it.
+    And those of each instance in the view that shows most of it.
     """
     count = len({number for view in views for number in np.unique(view.instances(view.surface_pixels))})
     most = max(_LEAST_POINTS, min(_POINTS, _ALL_POINTS // max(1, count)))
@@ -171,11 +169,7 @@ class FieldOptimizer:
         self._adam = torch.optim.Adam(groups, lr=1.0, eps=_LEAST)
 
     def step(self, done: int, valid: bool) -> None:
-        """Takes one step by the gradients that the parameters have, and clears them.
-
-        Args:
-            valid: whether the gradients are those of a finite loss.
-        """
+        """Takes one step by the gradients, if they are `valid`: those of a finite loss; and clears them."""
         progress = done / self._steps
         gradients = [parameter.grad for parameter in self._parameters if parameter.grad is not None]
         finite = all(bool(torch.isfinite(gradient).all()) for gradient in gradients)

@@ -11,7 +11,7 @@ import math
 import torch
 
 from compose.base.files import under
-from splat.model.gaussians import Directional, Gaussians, apart
+from splat.model.gaussians import Directional, Gaussians, apart, as_rows
 from splat.model.points import remoteness
 
 # Decay of the moments, and what keeps their quotient finite.
@@ -29,12 +29,9 @@ class Adam:
         self.steps = values.new_zeros(values.shape[1])
 
     def step(self, index: torch.Tensor, gradient: torch.Tensor, rates: torch.Tensor) -> None:
-        """Moves the columns at an index (M,) against a gradient (R, M).
+        """Moves the columns at an index (M,), none twice, against a gradient (R, M) whose square is finite.
 
-        Args:
-            index: no column twice.
-            gradient: finite, and its square, too.
-            rates: (R, M) or (R, 1), how far a column goes in its first step.
+        Rates (R, M) or (R, 1) say how far a column goes in its first step.
         """
         steps = self.steps.index_select(0, index).add_(1)
         first = self.first_moments.index_select(1, index).lerp_(gradient, 1 - _FIRST_DECAY)
@@ -83,13 +80,10 @@ HOST = torch.device("cpu")
 
 
 class GaussianOptimizer:
-    """Optimizes Gaussians; the constant spherical harmonic has a learning rate of its own.
+    """Optimizes Gaussians, which are copied; the constant spherical harmonic has a learning rate of its own.
 
-    The others are apart from it, and have moments only where Gaussians have them.
-
-    Args:
-        gaussians: where to start; copied.
-        pixel: unit of the positions' learning rate.
+    The others are apart from it, and have moments only where Gaussians have them. The positions' learning
+    rate is in units of `pixel`.
     """
 
     def __init__(self, gaussians: Gaussians, pixel: float, device: torch.device = HOST):
@@ -100,8 +94,8 @@ class GaussianOptimizer:
         gaussians = apart(gaussians).to(self._device)
         assert gaussians.directional is not None
         # One row per number that a Gaussian has.
-        self._all = Adam(torch.cat([_flat(tensor.detach()) for _, tensor in gaussians.tensors()]))
-        self._turning = Adam(_flat(gaussians.directional.sh.detach()).clone())
+        self._all = Adam(torch.cat([as_rows(tensor.detach()) for _, tensor in gaussians.tensors()]))
+        self._turning = Adam(as_rows(gaussians.directional.sh.detach()).clone())
         self._index = gaussians.directional.index
         self.chosen(torch.zeros(0, dtype=torch.int64, device=self._device))
 
@@ -132,14 +126,10 @@ class GaussianOptimizer:
         return self._leaves
 
     def step(self, loss: torch.Tensor, progress: float) -> bool:
-        """Takes one step down the gradient of a loss, unless that is not finite.
+        """Takes one step down the gradient of a loss, which is computed from what `chosen` returned.
 
-        Args:
-            loss: computed from what `chosen` returned.
-            progress: share of the training that is done, 0..1, which sets the learning rates.
-
-        Returns:
-            Whether it did: otherwise, parameters and moments are as before.
+        `progress` is the share of the training that is done, 0..1, which sets the learning rates. Returns
+        whether it did: if the gradient is not finite, parameters and moments stay as they are.
         """
         loss.backward()
         assert self._leaves.directional is not None
@@ -172,12 +162,7 @@ class GaussianOptimizer:
         torch.minimum(scales, largest.to(self._device), out=scales)
 
     def replace(self, gaussians: Gaussians, kept: torch.Tensor) -> None:
-        """Continues with other Gaussians.
-
-        Args:
-            gaussians: M or more, the first M of which were optimized before and keep their moments.
-            kept: (M,) the indices they had.
-        """
+        """Continues with other Gaussians, the first M of which keep the moments they had at indices (M,)."""
         before, turning, kept = self._all, self._turning, kept.to(self._device)
         former = Directional(self._index, turning.values).slots(len(before.steps))[kept]
         self._start(gaussians)
@@ -212,11 +197,7 @@ def _gaussians(rows: torch.Tensor, index: torch.Tensor, turning: torch.Tensor) -
 
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:
     """(rows, M) derivative by a tensor (..., M); 0 where nothing depends on it."""
-    return _flat(torch.zeros_like(leaf) if leaf.grad is None else leaf.grad)
-
-
-def _flat(tensor: torch.Tensor) -> torch.Tensor:
-    return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
+    return as_rows(torch.zeros_like(leaf) if leaf.grad is None else leaf.grad)
 
 
 def _are_finite(loss: torch.Tensor, *gradients: torch.Tensor) -> bool:

@@ -80,11 +80,9 @@ def _covering(seeds: Gaussians) -> Gaussians:
     gap = np.sqrt(np.mean(gaps[:, 1:] ** 2, axis=1))
     log_scales = seeds.log_scales.numpy()
     change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST))
-    return replace(
-        seeds,
-        log_scales=torch.from_numpy((log_scales + change).astype(np.float32)),
-        opacity_logits=torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY)),
-    )
+    wide = torch.from_numpy((log_scales + change).astype(np.float32))
+    opaque = torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY))
+    return replace(seeds, log_scales=wide, opacity_logits=opaque)
 
 
 def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
@@ -114,12 +112,12 @@ def seed_at(
 ) -> Layer:
     """Seeds, without parents, at pixels of one view, labelled by the instances that these show.
 
+    They are where they are at rest, and have the radiance that they show in usual light.
+
     Args:
         pixels: (M,) row-major indices; pixels that show no surface give no seed.
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.
-        motion: of the instances; seeds of these are where they are at rest.
-        light: that changes; seeds have the radiance that they show in usual light.
     """
     distance = view.distance.ravel()[pixels]
     pixels = pixels[np.isfinite(distance) & (distance > 0)]

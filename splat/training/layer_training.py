@@ -70,15 +70,12 @@ class LayerTraining:
     Args:
         views: frames at this layer's resolution.
         seed: determines the order of the views and the new Gaussians.
-        motion: of the instances that views show; None if nothing moves.
-        light: on the surfaces that they show; None if it does not change.
-        all_harmonics: whether nodes whose radiance is not seen to turn keep harmonics.
+        motion, light: as for `Trainer`, in the coordinates of the views.
+        all_harmonics: as in `TrainingSettings`.
 
     Attributes:
-        done: steps so far.
-        skipped: those of them that changed nothing, because their loss or its gradient was not finite.
-        stepped: whether the last one changed something.
-        begun: whether the layer has nodes.
+        done, skipped: steps so far, and those that changed nothing: their loss or gradient was not finite.
+        stepped, begun: whether the last one changed something, and whether the layer has nodes.
     """
 
     _tree: Layer
@@ -140,9 +137,7 @@ class LayerTraining:
     def step(self, grows: bool = True) -> torch.Tensor | None:
         """Takes one optimizer step on one frame; if the layer `grows`, density control may change its nodes.
 
-        Returns:
-            If density control changed the nodes: (N,) the index that each former node has now, -1 if it was
-            removed.
+        If it did, returns (N,) the index that each former node has now, -1 if it was removed.
         """
         index = self._view_of(self.done)
         camera, time = self.views[index].camera, self.views[index].time
@@ -273,16 +268,11 @@ class LayerTraining:
         return tensors, {"done": self.done, "skipped": self.skipped, **counts}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
-        """Restores what `state` returned.
-
-        Raises:
-            KeyError: a tensor or a number is missing.
-        """
+        """Restores what `state` returned; KeyError if a tensor or a number is missing."""
         if "initial" not in numbers:
             return
-        self._optimizer = GaussianOptimizer.restored(tensors, self._pixel, self._device)
-        gaussians = self._optimizer.gaussians
-        self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
+        self._optimizer, self.begun = GaussianOptimizer.restored(tensors, self._pixel, self._device), True
+        self._tree = Layer(self._optimizer.gaussians, *(tensors[name] for name in LABELS))
         counts = int(numbers["initial"]), int(numbers["final"])
         self._density = DensityControl(self._steps, *counts, self._motion, self._light)
         if self._light is not None:

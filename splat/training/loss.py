@@ -18,6 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from compose.base.arrays import Arrays, constant
 from compose.base.collector import collector_paused
+from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
 
 TAPS = 11
 _SIGMA = 1.5
@@ -78,13 +79,10 @@ def blur(
     """Applies the window along one axis to several maps at once.
 
     Args:
-        axis: where.
         sizes: those of the axis; recorded functions take them as arguments.
         load: the maps' numbers at an index into an image of `before` pixels per line, under a mask.
-        finish: what is stored at an index into the result, from the maps' blurred numbers there.
-
-    Returns:
-        What `finish` gave, each flat, `after` pixels per line.
+        finish: what is stored at an index into the results, flat with `after` pixels per line, from the maps'
+            blurred numbers there.
     """
     Float, UInt, Int = arrays.plain.Float, arrays.plain.UInt, arrays.plain.Int
     lane = dr.arange(UInt, axis.runs * axis.lines * CHANNELS)
@@ -126,9 +124,7 @@ def blur(
 SMALLEST_SIDE = TAPS
 _C1, _C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
-# The sRGB curve: where its straight part ends, and that part's slope.
-_STRAIGHT, _SLOPE = 0.0031308, 12.92
-_BRIGHT_SLOPE = 1.055 / 2.4
+_BRIGHT_SLOPE = SRGB_SCALE / SRGB_GAMMA
 
 
 class FrameTarget:
@@ -137,9 +133,7 @@ class FrameTarget:
     What depends on the frame alone is computed again each time: kept, it would take three times the memory of
     the frame, of every frame of a training, and save a fiftieth of a step.
 
-    Args:
-        arrays: the backend's array types, on whose device the loss is computed.
-        radiance: (H, W, 3) linear, float32 or float16, both sides at least 11 pixels; kept, not copied.
+    The radiance, (H, W, 3) linear, float32 or float16, both sides at least 11 pixels, is kept, not copied.
     """
 
     def __init__(self, arrays: Arrays, radiance: torch.Tensor):
@@ -193,11 +187,9 @@ atexit.register(_recorded.cache_clear)
 
 
 class _Similarity:
-    """An image compared with a frame.
+    """An image compared with a frame, both counted from a `zero` (3,) of each channel.
 
-    Args:
-        zero: (3,) where zero is, per channel.
-        shares: what each number's distance adds to the loss, and each window's similarity.
+    `shares` are what each number's distance adds to the loss, and each window's similarity.
     """
 
     def __init__(
@@ -306,10 +298,11 @@ def _flat(arrays: Arrays, image: torch.Tensor) -> Any:
 
 def _logarithmic(radiance: Any) -> tuple[Any, Any]:
     """The sRGB curve up to 1 and a logarithm above, so that lamps do not rule the loss; and its slope."""
-    middle = dr.maximum(dr.minimum(radiance, 1), _STRAIGHT)
-    power = dr.exp2(dr.log2(middle) * (1 / 2.4))
+    middle = dr.maximum(dr.minimum(radiance, 1), SRGB_DARK)
+    power = dr.exp2(dr.log2(middle) * (1 / SRGB_GAMMA))
     above = dr.maximum(radiance, 1)
-    seen = dr.select(radiance > 1, dr.fma(_BRIGHT_SLOPE, dr.log(above), 1), dr.fma(1.055, power, -0.055))
+    curve = dr.fma(SRGB_SCALE, power, -SRGB_OFFSET)
+    seen = dr.select(radiance > 1, dr.fma(_BRIGHT_SLOPE, dr.log(above), 1), curve)
     slope = _BRIGHT_SLOPE * dr.select(radiance > 1, dr.rcp(above), power * dr.rcp(middle))
-    is_dark = radiance <= _STRAIGHT
-    return dr.select(is_dark, _SLOPE * radiance, seen), dr.select(is_dark, _SLOPE, slope)
+    is_dark = radiance <= SRGB_DARK
+    return dr.select(is_dark, SRGB_SLOPE * radiance, seen), dr.select(is_dark, SRGB_SLOPE, slope)

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, minimum_filter
+from scipy.ndimage import median_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -49,34 +49,15 @@ _PATCH, _TEXTURE = 5, 0.09
 _CORRELATED, _COLOUR = 0.5, 0.3
 # Share of a surface that must be seen to move for all of it to move.
 _MOST_OF_IT = 0.3
+_Votes = NDArray[np.int32]
 
 
 def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
     """(H, W) for each frame of a scene, which pixels show something that moves: nothing at a single time."""
-    frames = [_Frame(observation) for observation in observations]
-    return [_refined(frames, index) for index in range(len(frames))]
+    return [_refined(observations, index) for index in range(len(observations))]
 
 
-class _Frame:
-    """An observation with what others are compared with, found once."""
-
-    def __init__(self, observation: Observation):
-        self.camera, self.time = observation.camera, observation.time
-        self.appearance, self.has_albedo = observation.appearance, observation.albedo is not None
-        self.points = observation.points()
-        self.inverse = observation.inverse_depth
-        # What lies in front of all that the nine pixels around a place show, cannot be among them.
-        self.nearest = _filtered_depth(self.inverse, nearest=True)
-        self.farthest = _filtered_depth(self.inverse, nearest=False)
-
-
-def _filtered_depth(inverse: NDArray[np.float32], nearest: bool) -> NDArray[np.float32]:
-    """(H, W) nearest or farthest depth within a pixel of each; infinite where that is nothing."""
-    extreme = -minimum_filter(-inverse, 3) if nearest else minimum_filter(inverse, 3)
-    return np.where(extreme > 0, 1 / np.where(extreme > 0, extreme, 1), np.inf).astype(np.float32)
-
-
-def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
+def _refined(frames: Sequence[Observation], index: int) -> NDArray[np.bool_]:
     """The votes on a frame, without lone pixels, and over the whole of surfaces most of which moves."""
     gone, there, changed, compared = _votes(frames, index)
     has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
@@ -91,7 +72,7 @@ def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
     return moves | (known & (share >= _MOST_OF_IT)[surface])
 
 
-def _votes(frames: list[_Frame], index: int) -> list[NDArray[np.int32]]:
+def _votes(frames: Sequence[Observation], index: int) -> list[_Votes]:
     """How frames of other times agree with a frame: four numbers of frames, (H, W) each.
 
     Those that look through what a pixel shows, those that see a surface at its place; of the nearest views
@@ -99,7 +80,7 @@ def _votes(frames: list[_Frame], index: int) -> list[NDArray[np.int32]]:
     """
     frame = frames[index]
     others = [other for other in frames if other.time != frame.time]
-    shape = frame.inverse.shape
+    shape = frame.distance.shape
     gone, there, changed, compared = (np.zeros(shape, dtype=np.int32) for _ in range(4))
     # Evenly spread over their times.
     ordered = sorted(others, key=lambda other: other.time)
@@ -111,10 +92,11 @@ def _votes(frames: list[_Frame], index: int) -> list[NDArray[np.int32]]:
     return [gone, there, changed, compared]
 
 
-def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: NDArray[np.int32]) -> None:
+def _look_through(frame: Observation, other: Observation, gone: _Votes, there: _Votes) -> None:
     """Adds the vote of another frame on where a frame's points have gone and where they may be."""
     pixels, position, depth = _projected(frame, other)
     column, row = position.astype(np.int64).T
+    # What lies in front of all that the nine pixels around a place show, cannot be among them.
     nearest, farthest = other.nearest[row, column], other.farthest[row, column]
     is_gone = nearest > depth * (1 + _TOLERANCE)
     is_there = ~is_gone & (farthest >= depth * (1 - _TOLERANCE))
@@ -123,42 +105,43 @@ def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: 
 
 
 def _projected(
-    frame: _Frame, other: _Frame
+    frame: Observation, other: Observation
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Row-major indices (M,) of those points that lie within another frame, at least a pixel from its border.
 
     And their positions (M, 2) in it and depths (M,).
     """
-    pixels = np.flatnonzero(frame.inverse > 0)
+    pixels = np.flatnonzero(frame.inverse_depth > 0)
     position, depth = other.camera.project(frame.points.reshape(-1, 3)[pixels])
     size = np.array([other.camera.width, other.camera.height])
     inside = (depth > 0) & ((position >= 1) & (position < size - 1)).all(axis=1)
     return pixels[inside], position[inside], depth[inside]
 
 
-def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared: NDArray[np.int32]) -> None:
+def _compare(frame: Observation, other: Observation, changed: _Votes, compared: _Votes) -> None:
     """Adds the vote of a near view on whether patches at the same place look alike."""
-    pixels, position, depth = _projected(frame, other)
-    same = _from_same_side(frame, other, pixels)
-    pixels, position, depth = pixels[same], position[same], depth[same]
-    shape = frame.inverse.shape
+    found = _projected(frame, other)
+    same = _from_same_side(frame, other, found[0])
+    pixels, position, depth = (part[same] for part in found)
+    shape = frame.distance.shape
     corner = (position - 0.5).astype(np.int64)
     (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
     corners = (top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)
     weights = (1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y
-    inverse = sum(weight * other.inverse[at] for weight, at in zip(weights, corners, strict=True))
+    inverse = sum(weight * other.inverse_depth[at] for weight, at in zip(weights, corners, strict=True))
     seen = np.zeros(shape, dtype=np.float32)
     seen.ravel()[pixels] = np.abs(inverse * depth - 1) < _TOLERANCE
     warped = np.zeros((*shape, 3), dtype=np.float32)
     warped.reshape(-1, 3)[pixels] = sum(
         weight[:, None] * other.appearance[at] for weight, at in zip(weights, corners, strict=True)
     )
-    tells, differs = _difference(frame.appearance, warped, seen, frame.has_albedo and other.has_albedo)
+    is_albedo = frame.albedo is not None and other.albedo is not None
+    tells, differs = _difference(frame.appearance, warped, seen, is_albedo)
     compared += tells
     changed += differs
 
 
-def _from_same_side(frame: _Frame, other: _Frame, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _from_same_side(frame: Observation, other: Observation, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(M,) whether both frames see what pixels show along nearly the same direction."""
     points = frame.points.reshape(-1, 3)[pixels]
     rays = [points - one.camera.position for one in (frame, other)]
@@ -172,14 +155,12 @@ def _difference(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
 
-    Args:
-        seen: (H, W) 1 where both show a surface at the same place, else 0.
-        is_albedo: whether a change of brightness is one of the surface.
+    `seen` (H, W) is 1 where both show a surface at the same place, else 0. Of albedo, a change of brightness
+    is one of the surface.
     """
     squares = [(image * other).sum(axis=-1) for image, other in ((a, a), (b, b), (a, b))]
-    weight, *means = _patch_means(
-        [np.ones_like(seen), *np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0), *squares], seen
-    )
+    channels = (*np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0))
+    weight, *means = _patch_means([np.ones_like(seen), *channels, *squares], seen)
     mean_a, mean_b = np.stack(means[:3], axis=-1), np.stack(means[3:6], axis=-1)
     variance_a = np.maximum(means[6] - (mean_a**2).sum(axis=-1), 0)
     variance_b = np.maximum(means[7] - (mean_b**2).sum(axis=-1), 0)
@@ -245,7 +226,7 @@ def _clouds(
     times = sorted({one.time for one in observations})
     order = {time: 0.5 * step for step, time in enumerate(times)}
     return [
-        np.concatenate([one.points()[mask] / near, np.full((int(mask.sum()), 1), order[one.time])], axis=1)
+        np.concatenate([one.points[mask] / near, np.full((int(mask.sum()), 1), order[one.time])], axis=1)
         for one, mask in zip(observations, shown, strict=True)
     ]
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -27,7 +29,7 @@ class Observation:
     time: float  # that the frame shows, from 0 to 1
     albedo: NDArray[np.float32] | None = None  # (H, W, 3) float32; None if it is not known
 
-    @property
+    @cached_property
     def appearance(self) -> NDArray[np.float32]:
         """(H, W, 3) what surfaces look like whatever the light: albedo, else the logarithm of radiance.
 
@@ -42,7 +44,7 @@ class Observation:
         """(H, W) whether anything is seen at a distance."""
         return np.isfinite(self.distance) & (self.distance > 0)
 
-    @property
+    @cached_property
     def inverse_depth(self) -> NDArray[np.float32]:
         """(H, W) one over the depth along the view axis, linear in the frame on a plane; 0 at infinity."""
         rays = self.camera.rays(self.camera.pixel_centres())
@@ -50,11 +52,26 @@ class Observation:
         depth = np.where(self.known, self.distance, 1) * cosine
         return np.where(self.known, 1 / depth, 0).astype(np.float32)
 
+    @cached_property
+    def nearest(self) -> NDArray[np.float32]:
+        """(H, W) nearest depth within a pixel of each; infinite where nothing is."""
+        return _depths(-minimum_filter(-self.inverse_depth, 3))
+
+    @cached_property
+    def farthest(self) -> NDArray[np.float32]:
+        """(H, W) farthest depth within a pixel of each; infinite where nothing is."""
+        return _depths(minimum_filter(self.inverse_depth, 3))
+
+    @cached_property
     def points(self) -> NDArray[np.float64]:
         """(H, W, 3) world positions of what is seen; NaN where nothing is."""
         rays = self.camera.rays(self.camera.pixel_centres()).reshape(*self.distance.shape, 3)
         distance = np.where(self.known, self.distance.astype(np.float64), np.nan)
         return self.camera.position + rays * distance[..., None]
+
+
+def _depths(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.where(inverse > 0, 1 / np.where(inverse > 0, inverse, 1), np.inf).astype(np.float32)
 
 
 # Pixels that neighbours on one surface may lie apart, across it.
@@ -67,11 +84,7 @@ def surfaces_of(points: NDArray[np.float64], appearance: NDArray[np.float32]) ->
     """(H, W) number of the surface that each pixel shows, from 0; -1 for none.
 
     Neighbouring pixels show the same surface if one lies in the plane of the other, or nearly, and they look
-    nearly alike.
-
-    Args:
-        points: (H, W, 3) world positions, NaN where nothing is seen.
-        appearance: (H, W, 3) what the surfaces look like.
+    nearly alike. Points (H, W, 3) are in world space, NaN where nothing is seen; appearance is (H, W, 3).
     """
     height, width = points.shape[:2]
     known = np.asarray(np.isfinite(points).all(axis=-1))

@@ -55,13 +55,8 @@ def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> N
 def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degree: int) -> Gaussians:
     """Gaussians behind all others in every direction of the sky, in the mean colour of what is next to it.
 
-    A direction that no frame shows belongs to the sky if the nearest one that is seen does.
-
-    Args:
-        sky: (M, 3) unit directions in which frames show the sky.
-        radiance: (M, 3) linear, seen there.
-        surface: (N, 3) unit directions in which they show a surface.
-        degree: of the spherical harmonics, of which only the constant one is set.
+    A direction that no frame shows belongs to the sky if the nearest one that is seen does. Frames show the
+    sky in unit directions (M, 3), its linear radiance (M, 3) there, and surfaces in unit directions (N, 3).
     """
     directions = _sphere(_DIRECTIONS)
     distance, near = cKDTree(sky).query(directions, k=np.arange(1, min(_ALIKE, len(sky)) + 1))
@@ -80,18 +75,16 @@ def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degre
 def discs(
     means: Floats, log_scales: Floats, normals: Floats, colour: torch.Tensor, opacity: float, degree: int
 ) -> Gaussians:
-    """N Gaussians that are flat across their normals and look alike from everywhere.
+    """N Gaussians that look alike from everywhere and are flat: their third axis lies along the normal.
 
-    Args:
-        means, log_scales, normals: (N, 3) each; the third axis lies along the normal.
-        colour: (3, N) perceptual radiance.
-        degree: of the spherical harmonics, of which only the constant one is set.
+    Means, log-scales and normals are (N, 3), the colour is perceptual radiance (3, N); of the spherical
+    harmonics, only the constant one is set.
     """
     sh = torch.zeros(sh_count(degree), 3, len(means))
     sh[0] = (colour - 0.5) / SH_DC
-    as_rows = lambda values: torch.from_numpy(np.ascontiguousarray(values.T, dtype=np.float32))  # noqa: E731
-    logits = torch.full((len(means),), opacity_logit(opacity))
-    return Gaussians(as_rows(means), as_rows(log_scales), as_rows(rotation_to(normals)), logits, sh)
+    parts = means, log_scales, rotation_to(normals)
+    rows = [torch.from_numpy(np.ascontiguousarray(part.T, dtype=np.float32)) for part in parts]
+    return Gaussians(*[*rows, torch.full((len(means),), opacity_logit(opacity)), sh])
 
 
 def opacity_logit(opacity: float) -> float:

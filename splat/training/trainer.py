@@ -150,17 +150,12 @@ class Trainer:
         focal = finest_focal(views) / _ABOUT_AS_FINE
         self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
+        steps = np.bincount(self._schedule, minlength=settings.layers).clip(min=1).tolist()
+        images = [at_resolution(views, settings.layers - 1 - index) for index in range(settings.layers)]
+        further = self.motion, self.light, settings.all_harmonics
         self._layers = [
-            LayerTraining(
-                arrays,
-                at_resolution(views, settings.layers - 1 - index),
-                max(1, int(np.count_nonzero(self._schedule == index))),
-                [settings.seed, index],
-                self.motion,
-                self.light,
-                settings.all_harmonics,
-            )
-            for index in range(settings.layers)
+            LayerTraining(arrays, images[index], count, [settings.seed, index], *further)
+            for index, count in enumerate(steps)
         ]
         self.iteration = 0
         self._settling = int(_SETTLED * settings.iterations)
@@ -232,23 +227,19 @@ class Trainer:
 
     def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Everything that the next step depends on: tensors, and numbers."""
-        tensors: dict[str, torch.Tensor] = {}
-        numbers = []
-        for index, training in enumerate(self._layers):
-            own, counts = training.state()
-            tensors |= {f"{index}.{name}": tensor for name, tensor in own.items()}
-            numbers.append(counts)
+        parts, numbers = zip(*(training.state() for training in self._layers), strict=True)
+        groups = {f"{index}.": part for index, part in enumerate(parts)}
         if self._field is not None:
-            tensors |= {_FIELD + name: tensor for name, tensor in self._field.state().items()}
+            groups[_FIELD] = self._field.state()
+        tensors = {prefix + name: tensor for prefix, part in groups.items() for name, tensor in part.items()}
         run = {"settings": asdict(self.settings), "origin": list(self.place.origin), "unit": self.place.unit}
-        return tensors, {"iteration": self.iteration, **run, "layers": numbers}
+        return tensors, {"iteration": self.iteration, **run, "layers": list(numbers)}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Restores what `state` returned.
 
         Raises:
-            ValueError: the state belongs to a training with other settings.
-            KeyError: a tensor or a number is missing.
+            ValueError, KeyError: it belongs to a training with other settings, or a part is missing.
         """
         if numbers["settings"] != asdict(self.settings):
             raise ValueError("the checkpoint belongs to a training with other settings")

@@ -118,13 +118,8 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
     if far.any():
         rays = view.camera.rays(view.camera.pixel_centres()).reshape(normal.shape)
         normal = np.where(far[..., None], -rays, normal).astype(normal.dtype)
-    return replace(
-        view,
-        camera=place.camera(view.camera),
-        distance=np.where(far, SKY_DISTANCE, distance).astype(np.float32),
-        normal=normal,
-        sky=SKY_DISTANCE,
-    )
+    camera, shown = place.camera(view.camera), np.where(far, SKY_DISTANCE, distance).astype(np.float32)
+    return replace(view, camera=camera, distance=shown, normal=normal, sky=SKY_DISTANCE)
 
 
 def pixel_footprint(views: list[TrainingView]) -> float:

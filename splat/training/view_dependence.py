@@ -30,12 +30,8 @@ def turning_of(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """How those M Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
 
-    Args:
-        shown: gives the Gaussians as they are at a time, in the same order.
-
-    Returns:
-        (3, M) what these harmonics add, mean over views, by what each view shows; and (M,) the root of its
-        variance over views, of the channel that varies most.
+    Returns (3, M) what these harmonics add, mean over views, by what each view shows; and (M,) the root of
+    its variance over views, of the channel that varies most. `shown` gives the Gaussians as at some time.
     """
     further = gaussians.directional
     assert further is not None
@@ -65,9 +61,7 @@ def without_unseen_turning(
 ) -> Gaussians:
     """Gaussians, of which only those whose radiance visibly turns keep harmonics above the constant one.
 
-    Args:
-        views, shown: as for `turning_of`.
-        least: share of what is visible by which it must turn.
+    `least` is the share of what is visible by which it must turn; the rest is as for `turning_of`.
     """
     gaussians = apart(gaussians)
     assert gaussians.directional is not None

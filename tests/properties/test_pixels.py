@@ -65,7 +65,7 @@ def test_what_is_seen_first_is_the_same_in_any_order_and_in_any_parts(tracer, se
 
 def test_emitted_radiance_is_the_same_in_any_order(scene):
     """At path depth 1 no random number but the sample positions' counts."""
-    tracer, order = Tracer(scene, max_depth=1), np.random.default_rng(0).permutation(1024)
+    tracer, order = Tracer(scene.at_depth(1)), np.random.default_rng(0).permutation(1024)
     whole, shuffled = (
         interleaved(tracer.trace(scene.camera, of_pixels(tracer, pixels), 8, 5).radiance)
         for pixels in (np.arange(1024), order)

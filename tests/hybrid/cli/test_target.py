@@ -44,7 +44,7 @@ def store(made, metric: str = "jod", **base: str) -> MeasuredStore:
     """Stores measurements as a sweep does: 10 ms for quality 7, 20 ms for 8, and 40 ms for 9."""
     settings = FrameSettings(**base)
     forest, scene = load_forest(made / "box.forest"), planned_scene("cornell")
-    found = MeasuredStore.of("trade", scene, forest, (48, 40), settings)
+    found = MeasuredStore("trade", scene, forest, (48, 40), settings)
     rows = ((10.0, 7.0), (20.0, 8.0), (40.0, 9.0))
     measured = [
         MeasuredSettings(replace(settings, spp=spp, fov_a=10.0 * spp, fov_b=5.0 * spp, fovea="raw"), *row)

@@ -34,7 +34,7 @@ def forest():
 
 @pytest.fixture
 def store(forest) -> MeasuredStore:
-    return MeasuredStore.of("trade", SCENE, forest, (64, 48), BASE)
+    return MeasuredStore("trade", SCENE, forest, (64, 48), BASE)
 
 
 def test_what_is_stored_is_loaded_again(store):
@@ -54,7 +54,7 @@ def test_the_file_lies_in_the_scenes_folder_and_is_the_only_one(store):
 
 def test_gaze_and_camera_are_those_of_the_use_not_of_the_measurement(forest, store):
     store.save("jod", MEASURED)
-    other = MeasuredStore.of("trade", SCENE, forest, (64, 48), replace(BASE, gaze=(0.1, 0.2)))
+    other = MeasuredStore("trade", SCENE, forest, (64, 48), replace(BASE, gaze=(0.1, 0.2)))
     assert other.file == store.file
     _, found = other.load()
     assert {one.settings.gaze.x for one in found} == {0.1}
@@ -75,7 +75,7 @@ def test_gaze_and_camera_are_those_of_the_use_not_of_the_measurement(forest, sto
 def test_measurements_of_something_else_are_not_used(store, forest, changed):
     store.save("jod", MEASURED)
     given = {"kind": "trade", "scene": SCENE, "forest": forest, "size": (64, 48), "base": BASE}
-    other = MeasuredStore.of(**(given | changed))
+    other = MeasuredStore(**(given | changed))
     assert other.load() is None
     # Both are kept side by side.
     other.save("jod", MEASURED[:1])
@@ -85,7 +85,7 @@ def test_measurements_of_something_else_are_not_used(store, forest, changed):
 def test_measurements_of_another_machine_are_not_used(store, forest, monkeypatch):
     store.save("jod", MEASURED)
     monkeypatch.setattr(identity, "machine", lambda: {"cpu": "another one"})
-    assert MeasuredStore.of("trade", SCENE, forest, (64, 48), BASE).load() is None
+    assert MeasuredStore("trade", SCENE, forest, (64, 48), BASE).load() is None
 
 
 def test_a_file_that_was_moved_from_another_machine_is_refused(store):

@@ -8,13 +8,14 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from hybrid.measure.frame_times import (
     REACH,
     gaze_path,
     interleaved,
     interleaved_passes,
-    jittered,
+    jittered_view,
     percentiles,
 )
 from hybrid.preparation.scene_plan import planned_scene
@@ -74,9 +75,9 @@ class TestJitter:
 
     def test_jittered_cameras_differ_by_less_than_can_be_seen(self, renderer):
         camera = renderer.scene.camera.resized(96, 64)
-        cameras = [jittered(camera, number) for number in range(1000)]
+        cameras = [jittered_view(View(camera), number).camera for number in range(1000)]
         assert len({one.key for one in [camera, *cameras]}) == 1001
-        assert jittered(camera, 1000).key == cameras[0].key
+        assert jittered_view(View(camera), 1000).camera.key == cameras[0].key
         points = camera.position + 3 * camera.rays(camera.pixel_centres())
         for one in (cameras[0], cameras[-1]):
             assert np.abs(one.project(points)[0] - camera.project(points)[0]).max() < 0.01
@@ -93,7 +94,7 @@ class TestJitter:
             with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
                 dr.kernel_history_clear()
                 for number in numbers:
-                    renderer.frame(FrameSettings(spp=1, camera=jittered(camera, number)))
+                    renderer.frame(FrameSettings(spp=1, camera=jittered_view(View(camera), number).camera))
                 return {entry["hash"] for entry in dr.kernel_history() if "hash" in entry}
 
         known = kernels(range(8))

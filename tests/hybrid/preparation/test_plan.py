@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -118,10 +118,10 @@ def test_a_still_scene_with_a_mirror_ball(backend):
     scene = load_scene(small.corner())
     found = plan_of(scene, DISPLAYS["desktop"], (1920, 1080))
     assert [decision.name for decision in found.decisions] == NAMES
-    assert found.value("motion") == "still"
-    assert found.value("degree") == 2
+    assert found.values()["motion"] == "still"
+    assert found.values()["degree"] == 2
     assert 3 <= found.decisions[2].evidence["needed"] <= 6
-    assert found.rows()[0] == found.decisions[0].row()
+    assert found.rows()[0] == asdict(found.decisions[0])
     assert set(found.rows()[0]) == set(Decision.__dataclass_fields__)
 
 

@@ -36,7 +36,7 @@ def folder(tmp_path):
 def test_a_new_video_has_no_frames_and_writes_nothing(tmp_path):
     frames = VideoFrames(tmp_path / "a.frames", IDENTITY)
     assert frames.milliseconds == []
-    assert frames.history() == {}
+    assert frames.history == {}
     assert list(frames.images()) == []
     assert not list(tmp_path.iterdir())
 
@@ -45,7 +45,7 @@ def test_frames_times_and_history_are_there_again(folder):
     frames = VideoFrames(folder, IDENTITY)
     assert frames.milliseconds == [{"total": 0.0}, {"total": 1.0}, {"total": 2.0}]
     np.testing.assert_array_equal(list(frames.images()), IMAGES)
-    found = frames.history()
+    found = frames.history
     assert {*found} == {*HISTORY}
     for name, values in HISTORY.items():
         np.testing.assert_array_equal(found[name], values)
@@ -57,7 +57,7 @@ def test_a_video_without_a_history_resumes_too(folder):
     frames.add(IMAGES[0], {"total": 3.0}, never)
     frames.keep({})
     again = VideoFrames(folder, IDENTITY)
-    assert again.history() == {}
+    assert again.history == {}
     assert len(again.milliseconds) == 4
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pathtrace.dataset.frame_error as module
-from compose.image.colour import srgb_from_radiance
+from compose.image.colour import srgb_from_radiance, srgb_slope
 from pathtrace.dataset.frame_error import (
     FrameError,
     frame_error,
@@ -87,7 +87,7 @@ def test_the_product_is_the_squared_bias_without_bias(wall, monkeypatch):
     found = mean_frame_error(
         [frame_error(noisy(wall, 0.6, 2 * seed), noisy(wall, 0.6, 2 * seed + 1)) for seed in range(30)]
     )
-    slope = module._slope(bright).astype(float)
+    slope = srgb_slope(bright).astype(float)
     bias = np.mean((slope * (bright - wall.radiance)) ** 2)
     assert found.deviation < 0.2 * bias
     assert abs(found.product - bias) < 4 * found.deviation
@@ -97,8 +97,8 @@ def test_slope_is_the_derivative_of_the_curve():
     radiance = np.float32([1e-4, 0.002, 0.01, 0.2, 0.9])
     step = np.float32(1e-3) * radiance
     difference = srgb_from_radiance(radiance + step) - srgb_from_radiance(radiance - step)
-    np.testing.assert_allclose(module._slope(radiance), difference / (2 * step), rtol=0.02)
-    np.testing.assert_array_equal(module._slope(np.float32([1, 7])), 0)
+    np.testing.assert_allclose(srgb_slope(radiance), difference / (2 * step), rtol=0.02)
+    np.testing.assert_array_equal(srgb_slope(np.float32([1, 7])), 0)
 
 
 def test_what_is_unsure_counts_less():

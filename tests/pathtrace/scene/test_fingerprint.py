@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from pathtrace.scene.scene_xml import file_fingerprint, text_fingerprint
+from pathtrace.scene.scene_xml import References, file_fingerprint, text_fingerprint
 
 NAMING = '<scene><string name="{}" value="{}"/></scene>'
 
@@ -13,7 +13,8 @@ def of_file(folder, root: str) -> str:
     """Fingerprint of a file with the text <scene/>, whatever its elements."""
     file = folder / "scene.xml"
     file.write_text("<scene/>")
-    return file_fingerprint(file, ET.fromstring(root))
+    elements = ET.fromstring(root)
+    return file_fingerprint(file, elements, References.of(file, elements))
 
 
 def test_it_is_the_sha256_of_the_file_and_of_those_that_it_names(tmp_path):

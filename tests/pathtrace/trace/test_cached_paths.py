@@ -86,7 +86,7 @@ def samples(
 
 def truth(scene, camera: Camera, spp: int, depth: int) -> tuple[float, float]:
     """Mean radiance of Mitsuba's own paths, and its standard error."""
-    tracer = Tracer(scene, depth)
+    tracer = Tracer(scene.at_depth(depth))
     means = [
         interleaved(tracer.trace(camera, frame_positions(camera), spp, seed).radiance).mean()
         for seed in range(8)
@@ -183,7 +183,7 @@ def test_what_is_seen_directly_or_lit_directly_has_no_bound():
     scene = load_scene(lit_by_a_caustic())
     camera, positions = scene.camera, frame_positions(scene.camera)
     direct = [
-        interleaved(Tracer(scene, max_depth=2, most_indirect=most).trace(camera, positions, 4, 0).radiance)
+        interleaved(Tracer(scene.at_depth(2), most_indirect=most).trace(camera, positions, 4, 0).radiance)
         for most in (1e-3, 1e9)
     ]
     np.testing.assert_allclose(direct[0], direct[1], rtol=1e-5, atol=1e-6)

@@ -30,7 +30,7 @@ def test_the_sum_is_the_radiance_that_mitsuba_finds():
     scene = load_scene(room({"roughplastic": {"type": "roughplastic", "alpha": 0.3}}))
     found = depth_shares(scene, [scene.camera], 1 << 18, 1)
     parts = found.radiance[:, :5].sum(axis=1)
-    tracer, positions = Tracer(scene, 5), frame_positions(scene.camera)
+    tracer, positions = Tracer(scene.at_depth(5)), frame_positions(scene.camera)
     weights = [0.212671, 0.715160, 0.072169]
     images = [
         interleaved(tracer.trace(scene.camera, positions, 128, seed).radiance).mean(axis=0) @ weights

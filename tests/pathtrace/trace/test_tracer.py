@@ -258,7 +258,7 @@ def test_missing_bounces_would_be_noticed(backend):
     camera = scene.camera
     runs = {}
     for depth in (2, 6):
-        tracer = Tracer(scene, max_depth=depth)
+        tracer = Tracer(scene.at_depth(depth))
         runs[depth] = [
             image_of(tracer.trace(camera, frame_positions(camera), 32, seed), camera) for seed in range(8)
         ]
@@ -345,7 +345,7 @@ def test_film_positions_need_not_be_pixels():
     """Boxes that lie across pixels see a closed sphere's radiance as well."""
     scene = load_scene(small.furnace())
     positions = FilmPositions(mi.Float([3.25, 17.5]), mi.Float([8.75, 1.1]))
-    traced = Tracer(scene, max_depth=40).trace(scene.camera, positions, 4096)
+    traced = Tracer(scene.at_depth(40)).trace(scene.camera, positions, 4096)
     np.testing.assert_allclose(traced.radiance[0].numpy(), 1, atol=0.05)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splat.training.moving_pixels import _Frame, _votes, moving_pixels, objects_of
+from splat.training.moving_pixels import _votes, moving_pixels, objects_of
 from tests.splat.training.scene import SIZE, observed
 
 TIMES = np.linspace(0, 1, 10)
@@ -87,9 +87,8 @@ def test_distances_that_do_not_know_of_what_moves_are_made_good_by_colours():
 def test_votes_equal_those_counted_one_by_one():
     """Their twin: a pixel, a frame, nine pixels around where it would be."""
     observations, _ = frames(card=lambda t: 1.4 * t - 0.7)
-    gone_in, there_in, *_ = _votes([_Frame(one) for one in observations], 4)
-    one = observations[4]
-    points = one.points()
+    gone_in, there_in, *_ = _votes(observations, 4)
+    points = observations[4].points
     for row, column in ((24, 20), (24, 24), (10, 30), (24, 30), (30, 8)):
         gone = there = 0
         for other in observations[:4] + observations[5:]:

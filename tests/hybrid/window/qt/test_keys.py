@@ -62,8 +62,8 @@ def test_only_held_keys_move():
     held.press(Key.Key_W, 0.0)
     held.press(Key.Key_Left, 0.0)
     assert held
-    held.release(Key.Key_W)
-    held.release(Key.Key_R)
+    held.discard(Key.Key_W)
+    held.discard(Key.Key_R)
     assert held
     held.clear()
     assert not held
