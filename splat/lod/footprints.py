@@ -75,9 +75,9 @@ class LayerChanges:
         nodes, factors, shown = light.nodes, factors_at(light.factors, time), self._usual
         if len(light.sided):
             sided = nodes[light.sided]
-            turns = self._own.rotations[:, sided], self._rotations[:, sided]
+            rest, now, means = (t[:, sided] for t in (self._own.rotations, self._rotations, self._means))
             position = torch.from_numpy(camera.position.copy()).float()
-            behind = seen_from_behind(light.normals, *turns, self._means[:, sided], position)
+            behind = seen_from_behind(light.normals, rest, now, means, position)
             other = factors_at(light.behind, time)
             factors[:, light.sided] = torch.where(behind, other, factors[:, light.sided])
         if self._lit_at == time:

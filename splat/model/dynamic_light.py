@@ -281,9 +281,9 @@ class NodeLight:
         """Indices (C,) of those of M nodes whose light changes, and their factors (3, C)."""
         changed = torch.nonzero(near[0] >= 0)[:, 0]
         front, back = near[:, changed]
-        at_rest, now, means = (t[:, changed] for t in (rest.rotations, shown.rotations, shown.means))
+        turns, now, means = (t[:, changed] for t in (rest.rotations, shown.rotations, shown.means))
         eye = torch.from_numpy(camera.position.copy()).float()
-        behind = seen_from_behind(self.surface.normals[:, front], at_rest, now, means, eye)
+        behind = seen_from_behind(self.surface.normals[:, front], turns, now, means, eye)
         return changed, factors_at(self.surface.factors, time)[:, torch.where(behind, back, front)]
 
     def state(self) -> dict[str, torch.Tensor]:
