@@ -7,13 +7,14 @@ A test joins the table by its mark, in the room whose code it tries, and says wh
         assert got(extent / exact, ".4f") == pytest.approx(1, abs=0.01)
 
 The cases of a parametrized test may be rows of their own: `pytest.param(..., marks=extreme(...))`.
-`python -m pytest -m extremes --extremes-json FILE` runs the table alone and writes its rows, of
-which `benchmarks` makes a page of the documentation.
+`python -m pytest -m extremes --extremes-json FILE` runs the table alone and writes its rows, and
+`python -m tests.extremes FILE` prints them in Markdown.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -105,3 +106,18 @@ class _Table:
     def pytest_sessionfinish(self) -> None:
         rows = sorted(self._rows, key=lambda row: (row["name"], row["backend"]))
         self._path.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def page(rows: list[dict[str, object]]) -> str:
+    """The table in Markdown."""
+    lines = ["| row | input | expected | got | backend | passed |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        cells = [
+            str(row[name]).replace("|", "\\|") for name in ("name", "input", "expected", "got", "backend")
+        ]
+        lines.append(f"| {' | '.join(cells)} | {'yes' if row['passed'] else '**no**'} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(page(json.loads(Path(sys.argv[1]).read_text())))

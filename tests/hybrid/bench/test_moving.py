@@ -24,12 +24,23 @@ def silent(done: int, total: int) -> None:
     pass
 
 
-def test_every_method_has_a_row_for_each_region(backend, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_CLIPS", 2)
-    scene = moving_corner(tmp_path)
+@pytest.fixture(scope="module")
+def forest(backend, tmp_path_factory):
+    return rough_forest(moving_corner(tmp_path_factory.mktemp("forest")))
+
+
+@pytest.fixture(scope="module")
+def found(backend, forest, tmp_path_factory):
+    """Rows by method and region; the forest competes with itself under another name."""
+    scene = moving_corner(tmp_path_factory.mktemp("scene"))
     settings = replace(INTERACTIVE, camera=scene.camera.resized(64, 48))
-    rows = bench_moving(scene, rough_forest(scene), settings, 16, silent)
-    found = {(row["method"], row["region"]): row for row in rows}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_CLIPS", 2)
+        rows = bench_moving(scene, forest, settings, 16, silent, {"again": forest})
+    return {(row["method"], row["region"]): row for row in rows}
+
+
+def test_every_method_has_a_row_for_each_region(found):
     names = {region for _, region in found}
     assert {"whole", "foveal", "salient", "moving", "uncovered"} <= names
     assert {method for method, _ in found} >= {HYBRID, ALONE, SPLATS, TRACED}
@@ -37,19 +48,13 @@ def test_every_method_has_a_row_for_each_region(backend, tmp_path, monkeypatch):
     assert "registration_px" in found[HYBRID, "moving"]
     assert found[HYBRID, "whole"]["ratio"] == 1
     assert found[HYBRID, "whole"]["pixels"] == 2 * 64 * 48
-    assert all(0 < row["ms"]["p50"] <= row["ms"]["p95"] for row in rows)
+    assert all(0 < row["ms"]["p50"] <= row["ms"]["p95"] for row in found.values())
     # The disc is traced; rough splats are far from the truth.
     assert found[HYBRID, "foveal"]["psnr"] > found[SPLATS, "foveal"]["psnr"] + 3
 
 
-def test_other_forests_are_drawn_as_splats_alone(backend, tmp_path, monkeypatch):
+def test_other_forests_are_drawn_as_splats_alone(found, forest):
     """The same forest under another name has the same rows; of layers, those by acuity are drawn, too."""
-    monkeypatch.setattr(module, "_CLIPS", 1)
-    scene = moving_corner(tmp_path)
-    forest = rough_forest(scene)
-    settings = replace(INTERACTIVE, camera=scene.camera.resized(64, 48))
-    rows = bench_moving(scene, forest, settings, 16, silent, {"again": forest})
-    found = {(row["method"], row["region"]): row for row in rows}
     for region in ("whole", "foveal", "moving"):
         assert found["again", region]["psnr"] == found[SPLATS, region]["psnr"]
     layered = len(forest.counts) > 1

@@ -6,9 +6,11 @@ import json
 
 import pytest
 
+from hybrid.cli import options
 from hybrid.cli.quickstart import quickstart as command
 from hybrid.evaluation import quickstart_job as module
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
+from pathtrace.scene.scene import load_scene
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -22,8 +24,9 @@ RESULT = {
 
 @pytest.fixture
 def given(monkeypatch):
-    """What the workflow is given."""
+    """What the workflow is given; scenes are not looked at."""
     notes = []
+    monkeypatch.setattr(options, "planned_scene", lambda name, *_: load_scene(name))
 
     def quickstart(scene, folder, settings, seed, bars):
         notes.append((scene.name, folder, settings, seed))

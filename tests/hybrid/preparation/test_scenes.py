@@ -36,8 +36,24 @@ def diffuse() -> dict[str, Any]:
     return scene
 
 
-def test_a_diffuse_scene_has_no_harmonics_and_short_paths():
-    plan = planned(diffuse())
+def with_a_mirror() -> dict[str, Any]:
+    scene = diffuse()
+    scene["back"] = {**scene["back"], "bsdf": {"type": "twosided", "b": {"type": "conductor"}}}
+    return scene
+
+
+@pytest.fixture(scope="module")
+def of_diffuse(backend) -> ScenePlan:
+    return planned(diffuse())
+
+
+@pytest.fixture(scope="module")
+def of_mirror(backend) -> ScenePlan:
+    return planned(with_a_mirror())
+
+
+def test_a_diffuse_scene_has_no_harmonics_and_short_paths(of_diffuse):
+    plan = of_diffuse
     assert plan.values()["degree"] == 0
     assert evidence(plan, "degree")["turning"] == 0
     assert 3 <= evidence(plan, "path depth")["needed"] <= 5
@@ -45,15 +61,13 @@ def test_a_diffuse_scene_has_no_harmonics_and_short_paths():
     assert plan.values()["motion"] == "still"
 
 
-def test_a_scene_with_a_mirror_has_harmonics():
-    scene = diffuse()
-    scene["back"] = {**scene["back"], "bsdf": {"type": "twosided", "b": {"type": "conductor"}}}
-    plan = planned(scene)
+def test_a_scene_with_a_mirror_has_harmonics(of_mirror):
+    plan = of_mirror
     assert plan.values()["degree"] == 2
     assert evidence(plan, "degree")["specular"] > 0.2
 
 
-def test_a_lamp_of_ten_thousand_widens_the_range():
+def test_a_lamp_of_ten_thousand_widens_the_range(of_diffuse):
     scene = diffuse()
     scene["bulb"] = {
         "type": "sphere",
@@ -64,7 +78,7 @@ def test_a_lamp_of_ten_thousand_widens_the_range():
     plan = planned(scene)
     found = evidence(plan, "frame precision")
     assert found["largest"] == pytest.approx(1e4, rel=0.05)
-    assert found["stops"] > evidence(planned(diffuse()), "frame precision")["stops"]
+    assert found["stops"] > evidence(of_diffuse, "frame precision")["stops"]
     # Half precision ends at 65,504.
     assert plan.values()["frame precision"] == "float16"
 
@@ -101,17 +115,15 @@ def test_glass_before_the_lamp_is_named():
     assert plan.values()["degree"] == 0
 
 
-def test_what_is_seen_from_one_point_only_has_no_harmonics(tmp_path):
+def test_what_is_seen_from_one_point_only_has_no_harmonics(of_mirror, tmp_path):
     """However much of it shines: nothing is ever seen from another direction."""
-    scene = diffuse()
-    scene["back"] = {**scene["back"], "bsdf": {"type": "twosided", "b": {"type": "conductor"}}}
     point = {"radius": 1e-4, "frames": [{"position": [0, 0, -1], "look_at": [0, 0, 1], "up": [0, 1, 0]}]}
     (tmp_path / "point.json").write_text(json.dumps(point))
-    plan = planned(scene, str(tmp_path / "point.json"))
+    plan = planned(with_a_mirror(), str(tmp_path / "point.json"))
     assert evidence(plan, "region")["is_one_point"]
     assert plan.values()["degree"] == 0
     assert plan.values()["region"] == str(tmp_path / "point.json")
-    assert not evidence(planned(scene), "region")["is_one_point"]
+    assert not evidence(of_mirror, "region")["is_one_point"]
 
 
 @extreme("a plan of an empty scene", given="a sky, no shape", expected="one line that says so")
