@@ -4,8 +4,8 @@ Each process of pytest-xdist, and what it starts, has cores of its own: otherwis
 in Dr.Jit and in torch, which wait for each other half of the time.
 
 Kernels are compiled without LLVM's optimizations, which took most of the time: tests launch thousands of
-kernels a few times each. They have a folder of their own, where the next run finds them. Processes that tests
-start compile as users do.
+kernels a few times each. They have a folder of their own, where the next run finds them, and processes that
+tests start.
 """
 
 import ctypes

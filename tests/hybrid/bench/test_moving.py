@@ -59,6 +59,7 @@ def test_other_forests_are_drawn_as_splats_alone(found, forest):
         assert found["again", region]["psnr"] == found[SPLATS, region]["psnr"]
     layered = len(forest.counts) > 1
     assert (("again, fov-gs", "whole") in found) == layered
+    assert (("again, stelacsf", "whole") in found) == layered
     assert found["again", "whole"].get("jod") == found[SPLATS, "whole"].get("jod")
 
 

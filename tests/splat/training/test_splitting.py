@@ -11,7 +11,7 @@ import torch
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.motion import turned
 from splat.raster.differentiable import render_differentiable
-from splat.training import density, layer_training
+from splat.training import layer_training
 from splat.training.density import halves, too_large
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
@@ -26,8 +26,7 @@ SETTINGS = TrainingSettings(iterations=STEPS, gaussians=400, layers=1, degree=0,
 @pytest.fixture
 def enough(monkeypatch) -> None:
     """Trainings of STEPS steps are long enough to split nodes."""
-    for module in (density, layer_training):
-        monkeypatch.setattr(module, "LEAST_STEPS", STEPS)
+    monkeypatch.setattr(layer_training, "LEAST_STEPS", STEPS)
 
 
 def sweeping(changes: bool = True) -> SurfaceLight:
