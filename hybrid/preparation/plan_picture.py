@@ -12,16 +12,16 @@ from compose.base.files import write_whole
 from compose.base.traced_samples import DIFFUSE
 from compose.image.colour import srgb_from_radiance
 from hybrid.preparation.decisions import DEPTH
-from hybrid.preparation.gaussian_count import GROUP, detailed
+from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.scene_look import Look
 from hybrid.preparation.scene_plan import ScenePlan
 
-_TURNING, _DETAIL = (0.9, 0.2, 0.1), (0.1, 0.6, 0.9)
+_TURNING = (0.9, 0.2, 0.1)
 _SHARE = 0.7
 
 
 def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
-    """Writes a PNG: what the scene looks like, where its radiance turns, where it has detail, its depths.
+    """Writes a PNG: what the scene looks like, where its radiance turns, what Gaussians bring, its depths.
 
     Raises:
         UserError: the file cannot be written.
@@ -33,14 +33,12 @@ def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
     grid = figure.add_gridspec(2, 3)
     shown, turning, detail = (figure.add_subplot(grid[0, column]) for column in range(3))
     depths, decisions = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1:])
-    radiance = look.denoised[0]
-    frame = srgb_from_radiance(radiance)
+    frame = srgb_from_radiance(look.denoised[0])
     _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
     view = srgb_from_radiance(look.radiance[0])
     turns = (look.gloss[0] != DIFFUSE) | look.reflected[0]
     _image(turning, _marked(view, turns, _TURNING), "radiance turns with the view (red)")
-    groups = np.kron(detailed(radiance), np.ones((GROUP, GROUP))).astype(bool)
-    _image(detail, _marked(frame[: groups.shape[0], : groups.shape[1]], groups, _DETAIL), "detail (blue)")
+    _plot_gaussians(detail, plan)
     _plot_depths(depths, plan)
     rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
     decisions.axis("off")
@@ -59,6 +57,16 @@ def _image(axes: Any, image: Any, title: str) -> None:
 
 def _marked(image: Any, where: Any, colour: tuple[float, float, float]) -> Any:
     return np.where(where[..., None], (1 - _SHARE) * image + _SHARE * np.array(colour), image)
+
+
+def _plot_gaussians(axes: Any, plan: ScenePlan) -> None:
+    """What numbers of Gaussians leave, each in one colour, and the number that is planned."""
+    decision = plan.decision(GAUSSIANS)
+    curve = decision.evidence["error_db"]
+    axes.semilogx([int(count) for count in curve], list(curve.values()), "o-", color="#36c")
+    axes.axvline(float(decision.value), color="#c33")
+    axes.set_xlabel("Gaussians", fontsize=8)
+    axes.set_title("dB of as many plain ones; planned (red)", fontsize=9)
 
 
 def _plot_depths(axes: Any, plan: ScenePlan) -> None:

@@ -51,6 +51,7 @@ from splat.model.forest import Forest
 _LOG = logging.getLogger("hybrid")
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
 FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
+_LEAST_FUSION_SPP = 8
 # The resolutions of these parts, by the scale of the finest frames: around that of the splats, and twice as
 # fine, since a display may show splats larger than they were trained.
 _CLOSE_UPS = {1: (2, 4), 2: (2, 3, 4), 4: (3, 4, 5, 6, 8)}
@@ -187,8 +188,9 @@ class _Job:
     ) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
         stage, number = self.planner.stages[-1], self.planner.number
-        # More layers than the display tells apart are none that a frame draws.
-        layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
+        # More layers than the display tells apart are none that a frame draws; the first frames show one.
+        first = sum(not one.is_rest for one in self.planner.stages) == 1
+        layers = 1 if first else min(stage.layers, frames.plan.get(LAYERS, stage.layers))
         seed = self.settings.seed + number
         settings = planned_settings(
             frames, iterations=self.planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
@@ -223,7 +225,8 @@ class _Job:
         if self.planner.fits_fusion:
             cache, seed = cache_for(self.scene), self.settings.seed
             close_ups = _CLOSE_UPS[self.planner.stages[-1].scale]
-            settings = replace(FUSION_CAPTURE, close_ups=close_ups, seed=seed)
+            spp = max(_LEAST_FUSION_SPP, round(FUSION_CAPTURE.held_out_spp * self.planner.fusion_share))
+            settings = replace(FUSION_CAPTURE, held_out_spp=spp, close_ups=close_ups, seed=seed)
             with self.bars("fusion: frames (samples)") as bar:
                 examples = capture(self.scene, self.folder / "fusion", settings, bar, cache)
             with self.bars("fusion (steps)") as bar:

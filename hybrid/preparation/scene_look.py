@@ -18,6 +18,7 @@ from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.traced_images import TracedImage, trace_frame
 from pathtrace.trace.tracer import Tracer
+from splat.training.training_view import TrainingView
 
 # Views, the side of their frames in pixels, and samples per pixel.
 _VIEWS, _SIDE, _SPP = 6, 96, 8
@@ -37,12 +38,23 @@ class Look:
     reflected: list[NDArray[np.bool_]]  # V of (H, W), where a flat mirror or a pane shows something else
     # Of some views, larger: two independent halves of HALF_SPP samples per pixel each.
     halves: list[tuple[TracedImage, TracedImage]]
+    larger: list[tuple[Camera, NDArray[np.float32]]]  # camera, and (H, W) distance along each pixel's ray
     parallax: float  # largest distance between two views, over the median distance to what they see
 
     @cached_property
     def denoised(self) -> list[Image]:
         """(H, W, 3) radiance of the larger frames, denoised from all of their samples."""
         return [one.mixed(other, 0.5).denoised() for one, other in self.halves]
+
+    @cached_property
+    def shown(self) -> list[TrainingView]:
+        """The larger frames, denoised, as training has them."""
+        return [
+            TrainingView(camera, radiance, distance, one.mixed(other, 0.5).normal)
+            for (camera, distance), radiance, (one, other) in zip(
+                self.larger, self.denoised, self.halves, strict=True
+            )
+        ]
 
     @property
     def is_one_point(self) -> bool:
@@ -59,7 +71,7 @@ def look_at_scene(scene: Scene, surfaces: Surfaces, region: ViewingRegion, seed:
     cameras = region.views(_VIEWS, _SIDE, _SIDE, seed)
     views = [View(camera, view_time(scene, number)) for number, camera in enumerate(cameras)]
     tracer = Tracer(scene)
-    radiance, gloss, reflected, halves = [], [], [], []
+    radiance, gloss, reflected, halves, larger_views = [], [], [], [], []
     for number, view in enumerate(views):
         scene.show(view.time)
         positions = frame_positions(view.camera)
@@ -72,8 +84,10 @@ def look_at_scene(scene: Scene, surfaces: Surfaces, region: ViewingRegion, seed:
         if number < _LARGER:
             larger = view.camera.resized(_LARGER_SIDE, _LARGER_SIDE)
             halves.append(traced_halves(tracer, larger, seed + number))
+            distance = tracer.hits(larger, frame_positions(larger)).unfolded
+            larger_views.append((larger, distance.reshape(larger.height, larger.width)))
     scene.show(0.0)
-    return Look(views, radiance, gloss, reflected, halves, _parallax(surfaces, cameras))
+    return Look(views, radiance, gloss, reflected, halves, larger_views, _parallax(surfaces, cameras))
 
 
 def traced_halves(tracer: Tracer, camera: Camera, seed: int) -> tuple[TracedImage, TracedImage]:

@@ -12,15 +12,17 @@ from hybrid.base.journal import Journal
 from hybrid.preparation.stages import QUALITIES, SIDE, Needs, PreparationSettings, Stage, planned_stage
 
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
-# and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian.
-_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT = 2.25e-6, 0.27e-6, 0.7e-6, 60e-6
+# and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian; to place the
+# first seeds.
+_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT, _SEEDED = 2.25e-6, 0.27e-6, 0.7e-6, 60e-6, 1.0
 # A step without Gaussians, how many that the view shows take as long again, and how much longer larger frames
 # take without Gaussians.
 _STEP, _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 0.013, 18_000, 2.0
 # Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
 _SHOWN, _SHOWN_LESS = 0.56, 0.65
-# A stage that would get a smaller share of its time is not begun.
-_LEAST_SHARE = 0.3
+# A stage that would get a smaller share of its time is not begun; instead, the last one goes on with views
+# and steps in this proportion, and at least so many steps.
+_LEAST_SHARE, _REST_VIEWS, _REST_STEPS, _LEAST_REST = 0.3, 16, 200, 20
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
 
@@ -65,19 +67,27 @@ def step_seconds(stage: Stage) -> float:
 def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float | None) -> Stage | None:
     """The stage to do next; None if there is no time for one.
 
-    It is stretched over the time that would be left without use: a stage that has too little time is worse
-    than none, since each begins with large steps again. `left` is in seconds; None if time does not matter.
+    It is stretched over the time that would be left without use. Where it has too little time, the last one
+    goes on. `left` is in seconds; None if time does not matter.
     """
-    stage = planned_stage(len(before), needs)
+    number = sum(not one.is_rest for one in before)
+    stage = planned_stage(number, needs)
     if left is None or not before:
         return stage
     share = _share(stage, before, pace, left)
     if share < _LEAST_SHARE:
-        return None
-    following = planned_stage(len(before) + 1, needs)
+        return _rest(before, pace, left)
+    following = planned_stage(number + 1, needs)
     left_then = left - expected_seconds(stage, before).at(pace)
     another_fits = _share(following, [*before, stage], pace, left_then) >= _LEAST_SHARE
     return stage if another_fits else stage.in_time(share)
+
+
+def _rest(before: Sequence[Stage], pace: Seconds, left: float) -> Stage | None:
+    """More views and steps of the last stage's kind, where nothing else fits; None if they are too few."""
+    stage = replace(before[-1], views=_REST_VIEWS, steps=_REST_STEPS, is_rest=True)
+    stage = stage.in_time(max(0.0, _share(stage, before, pace, left)))
+    return stage if stage.steps >= _LEAST_REST else None
 
 
 def _share(stage: Stage, before: Sequence[Stage], pace: Seconds, left: float) -> float:
@@ -94,7 +104,7 @@ def _frames(views: int, stage: Stage, spp: int) -> float:
 def _prepared(stage: Stage, before: Sequence[Stage]) -> float:
     """What a training takes besides its steps."""
     pixels = sum(one.views * one.side**2 for one in [*before, stage])
-    return pixels * _READ_PIXEL + (stage.gaussians * _BUILT if before else 0.0)
+    return pixels * _READ_PIXEL + (stage.gaussians * _BUILT if before else _SEEDED)
 
 
 _KEY = "seconds"
@@ -125,8 +135,9 @@ class JobClock:
         self._journal[_KEY] = self.seconds()
 
 
-# Seconds that fitting the fusion takes where stages take as long as expected; left out of a shorter job.
-_FUSION_SECONDS = 50.0
+# Seconds that fitting the fusion takes where stages take as long as expected; it is left out of a job that
+# has less than twice as many, and has at most a share of any job.
+_FUSION_SECONDS, _FUSION_SHARE = 50.0, 1 / 3
 # Share of the time that is planned with: what a stage takes is known within a few percent.
 _USED = 0.97
 # Stages after which a target is given up, and the least gain in dB for which another stage is begun.
@@ -183,6 +194,12 @@ class Planner:
         minutes = self._settings.minutes
         return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
 
+    @property
+    def fusion_share(self) -> float:
+        """Share of the samples for which the fusion has time, up to 1."""
+        minutes, wanted = self._settings.minutes, _FUSION_SECONDS * self._pace().frames
+        return 1.0 if minutes is None else min(1.0, 60 * minutes * _FUSION_SHARE / wanted)
+
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
@@ -212,7 +229,7 @@ class Planner:
         """Seconds left for stages; None if time does not matter."""
         if self._settings.minutes is None:
             return None
-        fusion = _FUSION_SECONDS * self._pace().frames if self.fits_fusion else 0.0
+        fusion = _FUSION_SECONDS * self._pace().frames * self.fusion_share if self.fits_fusion else 0.0
         return 60 * _USED * self._settings.minutes - self.clock.seconds() - fusion
 
     def _pace(self) -> Seconds:

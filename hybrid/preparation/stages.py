@@ -9,22 +9,14 @@ from compose.base.errors import UserError, require_seed
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
 _SURFACES = 0.7
-# The same with the share of the frames that shows edges and texture, within a range that was tried: fewer
-# Gaussians than 0.6 times those of `room` show in shades that no edge or texture tells of.
-_DETAIL, _LEAST_DETAIL, _MOST_DETAIL = 0.7, 0.6, 1.5
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What a region and a scene take, over what the default region of `room` takes."""
+    """What a region and a scene take, over the default region of a scene that nobody has looked at."""
 
     breadth: float = 1.0  # views of the region until little is unseen
     detail: float = 1.0  # Gaussians for equal breadth
-
-    @staticmethod
-    def of(breadth: float, complexity: float) -> Needs:
-        """As the breadth of a region and the complexity of its frames tell (`gaussian_count`)."""
-        return Needs(breadth, min(max(complexity**_DETAIL, _LEAST_DETAIL), _MOST_DETAIL))
 
     @property
     def gaussians(self) -> float:
@@ -53,6 +45,7 @@ class Stage:
     gaussians: int  # in the finest layer at the end
     steps: int  # of the optimizer, over all layers
     breadth: float = 1.0  # of the region that it is for
+    is_rest: bool = False  # whether it only goes on with what the last one had, in the time that is left
 
     @property
     def whole(self) -> int:
@@ -94,11 +87,11 @@ class Stage:
 
 
 STAGES = (
-    Stage(views=32, scale=1, spp=4, gaussians=25_000, steps=110),
-    Stage(views=16, scale=1, spp=12, gaussians=36_000, steps=850),
-    Stage(views=16, scale=1, spp=32, gaussians=45_000, steps=1000),
-    Stage(views=40, scale=2, spp=32, gaussians=90_000, steps=1200),
-    Stage(views=60, scale=4, spp=64, gaussians=150_000, steps=1500),
+    Stage(views=32, scale=1, spp=4, gaussians=60_000, steps=140),
+    Stage(views=16, scale=1, spp=12, gaussians=70_000, steps=600),
+    Stage(views=16, scale=1, spp=32, gaussians=80_000, steps=800),
+    Stage(views=40, scale=2, spp=32, gaussians=110_000, steps=1000),
+    Stage(views=60, scale=4, spp=64, gaussians=160_000, steps=1300),
 )
 # Number of stages by quality.
 QUALITIES = {"draft": 2, "standard": 4, "high": 5}

@@ -104,27 +104,34 @@ def z_curve_order(points: Floats) -> Ints:
     The result does not depend on the order in memory, except among identical points.
     """
     # A training that diverged is rejected elsewhere; its points only need some position here.
-    points = _drawn_in(np.clip(np.nan_to_num(points), -_LARGEST, _LARGEST))
+    points = np.clip(np.nan_to_num(points), -_LARGEST, _LARGEST)
+    middle = np.median(points, axis=0)
+    reach = _FAR * float(np.median(np.linalg.norm(points - middle, axis=1)))
+    points = drawn_in(points, middle, reach)
+    # Equal keys are sorted by coordinates.
+    return np.lexsort((points[:, 2], points[:, 1], points[:, 0], z_curve_keys(points, _BITS)))
+
+
+def z_curve_keys(points: Floats, bits: int) -> NDArray[np.uint64]:
+    """(N,) positions of points (N, 3) along the Z-order curve, in cells of `bits` per axis."""
     low = points.min(axis=0)
     extent = max(float((points.max(axis=0) - low).max()), 1e-30)
-    cell = ((points - low) / extent * (2**_BITS - 1)).astype(np.uint64)
+    cell = ((points - low) / extent * (2**bits - 1)).astype(np.uint64)
     key = np.zeros(len(points), dtype=np.uint64)
-    for bit in range(_BITS):
+    for bit in range(bits):
         for axis in range(3):
             key |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    # Equal keys are sorted by coordinates.
-    return np.lexsort((points[:, 2], points[:, 1], points[:, 0], key))
+    return key
 
 
-def _drawn_in(points: Floats) -> Floats:
-    """Points (N, 3), those that are far away from most at the logarithm of their distance."""
-    away = points - np.median(points, axis=0)
+def drawn_in(points: Floats, middle: Floats, reach: float) -> Floats:
+    """Points (N, 3); those beyond a reach around the middle (3,) at the logarithm of their distance."""
+    away = points - middle
     distance = np.linalg.norm(away, axis=1)
-    reach = _FAR * np.median(distance)
-    far = distance > reach
-    if reach == 0 or not far.any():
+    beyond = distance > reach
+    if reach == 0 or not beyond.any():
         return points
-    nearer = reach * (1 + np.log(distance[far] / reach)) / distance[far]
+    nearer = reach * (1 + np.log(distance[beyond] / reach)) / distance[beyond]
     points = points.copy()
-    points[far] += (nearer - 1)[:, None] * away[far]
+    points[beyond] += (nearer - 1)[:, None] * away[beyond]
     return points

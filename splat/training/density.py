@@ -32,7 +32,6 @@ from splat.raster.projection import NEAR
 from splat.training.initialization import seed_at
 from splat.training.training_view import TrainingView
 
-INITIAL_SHARE = 0.5  # of the finest layer's final number
 _EVERY = 100  # iterations at most; short trainings have at least this many changes:
 _CHANGES = 5
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splat.model.dynamic_light import NodeLight
-from splat.model.gaussians import Gaussians, perceptual_from_radiance
+from splat.model.gaussians import Gaussians, perceptual_from_radiance, sh_count
 from splat.model.layer import Layer, concatenated_layers, static_layer
 from splat.model.motion import Dynamics
+from splat.training.clusters import HitTree
 from splat.training.sky import discs, opacity_logit, whole_sky
 from splat.training.training_view import TrainingView
 
@@ -29,8 +30,10 @@ _DIRECTIONS = 1000
 # Standard deviation of a seed, as a share of the distance to its neighbours.
 _COVERING = 0.6
 _NEIGHBOURS = 4
-# A seed may be this much narrower or wider than if all were evenly spread over one view.
+# Least standard deviation of a seed in pixels, and the greatest one as a multiple of the spacing.
 _NARROWEST, _WIDEST = 0.3, 8.0
+# Hits that are clustered, at most: four times as many take four times as long, for seeds that are no better.
+_MOST_HITS = 500_000
 
 
 def seed_from_views(
@@ -41,45 +44,60 @@ def seed_from_views(
     motion: Dynamics | None = None,
     light: NodeLight | None = None,
 ) -> Layer:
-    """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together, and at rest.
+    """About `count` seeds, at most, at rest: one in each leaf of an octree over what views show (`clusters`).
 
-    Pixels that show no surface give no seed; if one does, there is at least one seed. Where views show the
-    sky, there are further ones behind those, for all of it.
+    Together they are wide enough to cover the surfaces. Pixels that show no surface give no seed; if one
+    does, there is at least one seed. Where views show the sky, there are further ones behind those, for all
+    of it.
     """
-    pixels = views[0].camera.width * views[0].camera.height
-    # The views overlap, so that about `count` seeds cover what one of them sees.
-    spacing = np.sqrt(pixels / count)
-    shares = np.full(len(views), count // len(views))
-    shares[: count % len(views)] += 1
-    size = spacing * _COVERING
-    seeded = lambda view, pixels: seed_at(view, pixels, size, degree, motion, light)  # noqa: E731
-    parts = []
-    for view, share in zip(views, shares, strict=True):
-        total = view.distance.size
-        parts.append(seeded(view, rng.choice(total, min(int(share), total), replace=False)))
-    seeds = concatenated_layers(parts)
-    seeds = replace(seeds, gaussians=_covering(seeds.gaussians))
-    seeds = concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
-    if len(seeds):
-        return seeds
-    # Hardly any pixel shows a surface, and no random one did.
-    view = max(views, key=lambda view: len(view.surface_pixels))
-    surface = view.surface_pixels
-    return seeded(view, rng.choice(surface, 1) if len(surface) else surface)
+    hits = hits_of(views, rng, motion, light)
+    if not len(hits):
+        return _with_degree(hits, degree)
+    seeds = _with_degree(HitTree(hits).seeds(count, rng), degree)
+    # Views overlap, so that about `count` seeds cover what one of them sees.
+    spacing = np.sqrt(views[0].distance.size / count)
+    seeds = replace(seeds, gaussians=_covering(seeds.gaussians, max(1.0, spacing)))
+    return concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
 
 
-def _covering(seeds: Gaussians) -> Gaussians:
-    """The seeds, widened or narrowed until they cover the surfaces, and nearly opaque.
+def hits_of(
+    views: list[TrainingView],
+    rng: np.random.Generator | None = None,
+    motion: Dynamics | None = None,
+    light: NodeLight | None = None,
+) -> Layer:
+    """Seeds one pixel wide at pixels that show a surface: all of them, or about as many as are worth it."""
+    rng = rng or np.random.default_rng(0)
+    chosen = [_some_of(view.surface_pixels, _MOST_HITS // len(views), rng) for view in views]
+    seeds = [seed_at(view, pixels, 1.0, 0, motion, light) for view, pixels in zip(views, chosen, strict=True)]
+    return concatenated_layers([static_layer(Gaussians.none(0)), *seeds])
 
-    Views overlap by more or less, so that only the seeds themselves know how far apart they are.
+
+def _some_of(pixels: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """At most so many of the pixels, in order; at random, since rows are as regular as textures."""
+    return pixels if len(pixels) <= most else np.sort(rng.choice(pixels, most, replace=False))
+
+
+def _with_degree(layer: Layer, degree: int) -> Layer:
+    """Nodes with a constant harmonic, and others of 0 up to a degree."""
+    constant = layer.gaussians.sh
+    further = constant.new_zeros(sh_count(degree) - 1, 3, len(layer))
+    return replace(layer, gaussians=replace(layer.gaussians, sh=torch.cat([constant, further])))
+
+
+def _covering(seeds: Gaussians, spacing: float) -> Gaussians:
+    """Seeds a pixel wide, widened or narrowed until they cover the surfaces, and nearly opaque.
+
+    Only the seeds themselves know how far apart they are; `spacing` is in pixels of one view, if all were
+    in it.
     """
     if len(seeds) <= _NEIGHBOURS:
         return seeds
     means = seeds.means.numpy().T
-    gaps, _ = cKDTree(means).query(means, k=_NEIGHBOURS + 1)
+    gaps, _ = cKDTree(means).query(means, k=_NEIGHBOURS + 1, workers=-1)
     gap = np.sqrt(np.mean(gaps[:, 1:] ** 2, axis=1))
     log_scales = seeds.log_scales.numpy()
-    change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST))
+    change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST * spacing))
     wide = torch.from_numpy((log_scales + change).astype(np.float32))
     opaque = torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY))
     return replace(seeds, log_scales=wide, opacity_logits=opaque)

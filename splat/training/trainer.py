@@ -23,7 +23,6 @@ from splat.model.layer import NO_PARENT, Layer, without_parents
 from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics, NodeMotion
 from splat.model.trees import build_forest, settle
-from splat.training.density import INITIAL_SHARE
 from splat.training.field_training import FieldOptimizer, register
 from splat.training.initialization import seed_from_views
 from splat.training.layer_training import LayerTraining
@@ -160,10 +159,9 @@ class Trainer:
         self.iteration = 0
         self._settling = int(_SETTLED * settings.iterations)
         rng = np.random.default_rng([settings.seed, 0])
-        first = max(1, int(settings.gaussians * INITIAL_SHARE))
         if start is None:
             lit = None if self.light is None else NodeLight(self.light)
-            known = seed_from_views(views, first, settings.degree, rng, self.motion, lit)
+            known = seed_from_views(views, settings.gaussians, settings.degree, rng, self.motion, lit)
         else:
             known = without_parents(start.layers[-1])
             # All may turn with the view, also those that did not in the earlier training.

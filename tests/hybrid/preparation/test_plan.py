@@ -33,6 +33,7 @@ from pathtrace.trace.traced_images import TracedImage, trace_image
 from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.moving import moving_corner
+from tests.splat.training.frames import SIZE, WALLS
 
 NAMES = ["motion", "region", "path depth", "roulette depth", "degree", "frame precision", "layers"]
 NAMES += ["gaussians", "samples", "denoising", "light"]
@@ -46,7 +47,7 @@ def looked(
 ) -> Look:
     reflected = np.zeros(gloss.shape, dtype=bool) if reflected is None else reflected
     radiance = np.ones((*gloss.shape, 3), np.float32) if radiance is None else radiance
-    return Look([], [radiance], [gloss], [reflected], [], parallax)
+    return Look([], [radiance], [gloss], [reflected], [], [], parallax)
 
 
 @pytest.mark.parametrize(("kind", "degree"), [(DIFFUSE, 0), (GLOSSY, 2), (SPECULAR, 2)])
@@ -128,7 +129,7 @@ def test_a_still_scene_with_a_mirror_ball(backend):
 def halved(scene: Scene, side: int, seed: int = 0) -> Look:
     """A look that has halves of one view only."""
     halves = traced_halves(Tracer(scene), scene.camera.resized(side, side), seed)
-    return replace(looked(np.zeros((4, 4), dtype=int)), halves=[halves])
+    return replace(looked(np.zeros((4, 4), dtype=int)), halves=[halves], larger=[(None, None)])
 
 
 def test_noise_is_denoised_and_what_has_none_is_not(backend):
@@ -163,15 +164,34 @@ def test_raw_noise_is_that_of_many_frames(backend):
 
 
 def test_more_detail_takes_more_gaussians():
-    flat, noisy = np.full((64, 64, 3), 0.5, np.float32), np.random.default_rng(0).random((64, 64, 3))
+    """Of a wall: in one colour, noisy in a corner, and noisy all over."""
+    rng, camera = np.random.default_rng(0), WALLS[0].camera
     counts = []
-    for radiance in (flat, noisy.astype(np.float32)):
+    for share in (0.0, 0.25, 1.0):
+        radiance = np.full((SIZE, SIZE, 3), 0.5, np.float32)
+        side = round(SIZE * share**0.5)
+        radiance[:side, :side] = rng.random((side, side, 3))
         # What albedo shows is no noise, to the denoiser.
         image = TracedImage(radiance, radiance, np.zeros_like(radiance))
-        look = replace(looked(np.zeros((4, 4), dtype=int)), halves=[(image, image)])
-        counts += [gaussians_decision(look, 1.0).value, gaussians_decision(look, 4.0).value]
-    assert counts[0] == 24_000 < counts[2]
-    assert counts[1] > counts[0]
+        wall = (camera, np.full((SIZE, SIZE), 2.0, np.float32))
+        look = replace(looked(np.zeros((4, 4), dtype=int)), halves=[(image, image)], larger=[wall])
+        decision = gaussians_decision(look, 1.0)
+        counts.append(decision.value)
+        if share:
+            assert gaussians_decision(look, 4.0).value == pytest.approx(4**0.7 * decision.value, rel=0.1)
+        curve = list(decision.evidence["error_db"].values())
+        assert curve == sorted(curve)
+    assert counts[0] < 500
+    # No bound on how much more that is.
+    assert 5 * counts[0] < counts[1] < 0.75 * counts[2]
+
+
+def test_where_no_surface_is_seen_a_scene_takes_few_gaussians():
+    sky = np.full((SIZE, SIZE, 3), 0.5, np.float32)
+    image = TracedImage(sky, sky, np.zeros_like(sky))
+    nothing = (WALLS[0].camera, np.full((SIZE, SIZE), np.inf, np.float32))
+    look = replace(looked(np.zeros((4, 4), dtype=int)), halves=[(image, image)], larger=[nothing])
+    assert gaussians_decision(look, 1.0).value == 100
 
 
 def test_a_scene_that_moves_is_looked_at_at_several_times(backend, tmp_path):

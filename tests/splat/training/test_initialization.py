@@ -11,7 +11,8 @@ import torch
 from splat.model.gaussians import SH_DC
 from splat.model.motion import NodeMotion
 from splat.raster.harmonics import radiance_from_perceptual
-from splat.training.initialization import seed_at, seed_from_views
+from splat.training import initialization
+from splat.training.initialization import hits_of, seed_at, seed_from_views
 from tests.splat.raster.reference import rotation_matrix
 from tests.splat.training.frames import SIZE, WALLS, closed_sphere, wall
 
@@ -56,38 +57,41 @@ def test_discs_face_their_normals():
 def test_pixels_that_hit_nothing_give_no_seed():
     empty = wall(0.0)
     empty.distance[:] = np.inf
-    assert len(seed_from_views([empty, WALLS[1]], 200, 0, np.random.default_rng(0))) == 100
+    assert len(hits_of([empty, WALLS[1]])) == SIZE * SIZE
+    assert len(seed_from_views([empty], 200, 0, np.random.default_rng(0))) == 0
     empty.distance[0, 3] = 2.0
     assert len(seed_at(empty, np.arange(10), 0.6, 0)) == 1
+    assert len(seed_from_views([empty], 200, 2, np.random.default_rng(0))) == 1
 
 
-def test_views_share_the_seeds():
-    """200 of three views are 67, 67 and 66, each at pixels of its own; a view has no more than its pixels."""
+def test_seeds_are_about_as_many_as_asked_for_and_no_two_are_alike():
     seeds = seed_from_views(WALLS, 200, 2, np.random.default_rng(0)).gaussians
-    assert len(seeds) == 200
+    assert 180 <= len(seeds) <= 200
     assert seeds.degree == 2
-    assert len(np.unique(seeds.means.numpy(), axis=1).T) == 200
-    assert len(seed_from_views(WALLS[:1], 5000, 0, np.random.default_rng(0))) == SIZE * SIZE
+    assert (seeds.sh[1:] == 0).all()
+    assert len(np.unique(seeds.means.numpy(), axis=1).T) == len(seeds)
+    assert len(seed_from_views(WALLS[:1], 5000, 0, np.random.default_rng(0))) <= SIZE * SIZE
+
+
+def test_of_many_hits_some_are_looked_at(monkeypatch):
+    monkeypatch.setattr(initialization, "_MOST_HITS", 300)
+    hits = hits_of(WALLS, np.random.default_rng(0))
+    assert len(hits) == 300
+    assert len(np.unique(hits.gaussians.means.numpy(), axis=1).T) == 300
 
 
 def test_few_seeds_are_wide():
-    """A quarter of the seeds are about twice as wide: gaps are random, and wider at the edges."""
+    """A quarter of the seeds are about twice as wide, and all are nearly opaque."""
     widths = []
     for count in (64, 256):
         seeds = seed_from_views(WALLS[1:2], count, 0, np.random.default_rng(0)).gaussians
-        widths.append(
-            float(
-                (
-                    seeds.log_scales[0].exp()
-                    / seeds.means.T.sub(torch.tensor(WALLS[1].camera.position, dtype=torch.float32)).norm(
-                        dim=1
-                    )
-                ).mean()
-            )
-        )
-    assert widths[0] / widths[1] == pytest.approx(2, rel=0.15)
+        eye = torch.tensor(WALLS[1].camera.position, dtype=torch.float32)
+        away = seeds.means.T.sub(eye).norm(dim=1)
+        widths.append(float((seeds.log_scales[0].exp() / away).median()))
+        torch.testing.assert_close(torch.sigmoid(seeds.opacity_logits), torch.full((len(seeds),), 0.9))
+    assert widths[0] / widths[1] == pytest.approx(2, rel=0.3)
     # 1024 pixels, 64 seeds: about one per 4 x 4 pixels, with a standard deviation of 0.6 of that.
-    assert widths[0] * 40 == pytest.approx(0.6 * 4, rel=0.15)
+    assert widths[0] * 40 == pytest.approx(0.6 * 4, rel=0.3)
 
 
 def test_seeds_of_instances_are_where_these_are_at_rest():
