@@ -26,7 +26,7 @@ _PER_PART = 2.5
 _TRIED_COUNTS = (10_000, 30_000, 100_000, 300_000)
 
 # Gaussians of the finest layer where nothing is known of a scene.
-GAUSSIANS, FIXED_GAUSSIANS = "gaussians", 60_000
+GAUSSIANS, FIXED_GAUSSIANS = "gaussians", 40_000
 _ROUNDED = 100
 
 

@@ -87,11 +87,11 @@ class Stage:
 
 
 STAGES = (
-    Stage(views=32, scale=1, spp=4, gaussians=60_000, steps=140),
-    Stage(views=16, scale=1, spp=12, gaussians=70_000, steps=600),
-    Stage(views=16, scale=1, spp=32, gaussians=80_000, steps=800),
-    Stage(views=40, scale=2, spp=32, gaussians=110_000, steps=1000),
-    Stage(views=60, scale=4, spp=64, gaussians=160_000, steps=1300),
+    Stage(views=32, scale=1, spp=4, gaussians=40_000, steps=140),
+    Stage(views=16, scale=1, spp=12, gaussians=47_000, steps=600),
+    Stage(views=16, scale=1, spp=32, gaussians=54_000, steps=800),
+    Stage(views=40, scale=2, spp=32, gaussians=74_000, steps=1000),
+    Stage(views=60, scale=4, spp=64, gaussians=107_000, steps=1300),
 )
 # Number of stages by quality.
 QUALITIES = {"draft": 2, "standard": 4, "high": 5}

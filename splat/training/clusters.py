@@ -29,8 +29,8 @@ _LARGEST = 8.0
 # What is too large is divided first, the largest before others.
 _FIRST = 1e9
 _COLOURS = 3
-# Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1, although
-# displays show no more: what spills over from a lamp is seen around it.
+# Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1,
+# although displays show no more: what spills over from a lamp is seen around it.
 _BRIGHTEST = 4.0
 # Squared errors count as this at least: 120 dB.
 _LEAST_ERROR = 1e-12
@@ -136,15 +136,21 @@ class HitTree:
         return np.sort(np.concatenate(found))
 
     def seeds(self, count: int, rng: np.random.Generator) -> Layer:
-        """About `count` hits, at most, one of each leaf at random, in the mean colour of its leaf.
+        """Up to `count` hits, about as many, one of each leaf at random, in the mean colour of its leaf.
 
         A leaf is where it was hit, also among leaves and bars, where the mean of hits is in the air.
         """
         first = self._leaves(self.worth_of(count))
         hits = np.diff(first, append=len(self._keys))
+        if len(first) > count:
+            # Not even one for each label and way to face.
+            most = np.sort(np.argsort(-hits, kind="stable")[:count])
+            first, hits = first[most], hits[most]
         chosen = first + (rng.random(len(first)) * hits).astype(np.int64)
         seeds = self._hits.select(torch.from_numpy(chosen))
-        colour = np.add.reduceat(self._colour, first, axis=0) / hits[:, None]
+        ends = np.stack([first, first + hits], axis=1).ravel()
+        total = np.add.reduceat(np.concatenate([self._colour, np.zeros((1, 3))]), ends, axis=0)[::2]
+        colour = total / hits[:, None]
         sh = (torch.from_numpy(colour.T.astype(np.float32)) - 0.5)[None] / SH_DC
         return replace(seeds, gaussians=replace(seeds.gaussians, sh=sh))
 

@@ -53,7 +53,12 @@ def seed_from_views(
     hits = hits_of(views, rng, motion, light)
     if not len(hits):
         return _with_degree(hits, degree)
-    seeds = _with_degree(HitTree(hits).seeds(count, rng), degree)
+    if any(view.guessed for view in views):
+        # What is together at guessed distances need not be so.
+        seeds = hits.select(torch.from_numpy(_some_of(np.arange(len(hits)), count, rng)))
+    else:
+        seeds = HitTree(hits).seeds(count, rng)
+    seeds = _with_degree(seeds, degree)
     # Views overlap, so that about `count` seeds cover what one of them sees.
     spacing = np.sqrt(views[0].distance.size / count)
     seeds = replace(seeds, gaussians=_covering(seeds.gaussians, max(1.0, spacing)))

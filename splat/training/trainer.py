@@ -45,6 +45,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
+# Share of the Gaussians that training begins with where distances are guessed.
+_GUESSED = 0.5
 # Factor between the resolutions of views that count as equally fine.
 _ABOUT_AS_FINE = 1.5
 # Prefix of a field's tensors in checkpoints.
@@ -161,7 +163,10 @@ class Trainer:
         rng = np.random.default_rng([settings.seed, 0])
         if start is None:
             lit = None if self.light is None else NodeLight(self.light)
-            known = seed_from_views(views, settings.gaussians, settings.degree, rng, self.motion, lit)
+            # Guessed distances are good for a beginning; then the Gaussians themselves tell better ones.
+            guessed = any(view.guessed for view in views)
+            first = max(1, int(settings.gaussians * (_GUESSED if guessed else 1)))
+            known = seed_from_views(views, first, settings.degree, rng, self.motion, lit)
         else:
             known = without_parents(start.layers[-1])
             # All may turn with the view, also those that did not in the earlier training.

@@ -83,8 +83,9 @@ def test_of_many_hits_some_are_looked_at(monkeypatch):
 def test_few_seeds_are_wide():
     """A quarter of the seeds are about twice as wide, and all are nearly opaque."""
     widths = []
+    plain = replace(WALLS[1], radiance=np.minimum(WALLS[1].radiance, 0.9))
     for count in (64, 256):
-        seeds = seed_from_views(WALLS[1:2], count, 0, np.random.default_rng(0)).gaussians
+        seeds = seed_from_views([plain], count, 0, np.random.default_rng(0)).gaussians
         eye = torch.tensor(WALLS[1].camera.position, dtype=torch.float32)
         away = seeds.means.T.sub(eye).norm(dim=1)
         widths.append(float((seeds.log_scales[0].exp() / away).median()))
