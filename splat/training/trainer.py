@@ -46,7 +46,7 @@ _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
 # Share of the Gaussians that training begins with where distances are guessed.
-_GUESSED = 0.5
+_GUESSED = 0.3
 # Factor between the resolutions of views that count as equally fine.
 _ABOUT_AS_FINE = 1.5
 # Prefix of a field's tensors in checkpoints.
