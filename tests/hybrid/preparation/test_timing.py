@@ -29,6 +29,21 @@ def test_a_stage_for_which_little_time_is_left_is_shorter_or_left_out():
     assert next_stage([], Needs(), AS_EXPECTED, 0.0) == STAGES[0]
 
 
+def test_where_no_further_stage_fits_the_last_one_goes_on():
+    """With views and steps of its kind; not with few steps, which would make the forest worse."""
+    before = list(STAGES[:3])
+    left = 0.25 * expected_seconds(STAGES[3], before).at(AS_EXPECTED)
+    rest = next_stage(before, Needs(), AS_EXPECTED, left)
+    assert rest is not None
+    assert rest.is_rest
+    assert (rest.scale, rest.spp, rest.gaussians) == (STAGES[2].scale, STAGES[2].spp, STAGES[2].gaussians)
+    assert rest.steps >= 150
+    assert expected_seconds(rest, before).at(AS_EXPECTED) == pytest.approx(left, rel=0.05)
+    # It is none of the stages: what comes after it is what would have come instead.
+    assert next_stage([*before, rest], Needs(), AS_EXPECTED, 1e6) == STAGES[3]
+    assert next_stage(before, Needs(), AS_EXPECTED, 0.3 * left) is None
+
+
 def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits():
     following = expected_seconds(STAGES[2], [*BEFORE, STAGE]).at(AS_EXPECTED)
     longer = next_stage(BEFORE, Needs(), AS_EXPECTED, SECONDS + 0.2 * following)
