@@ -31,14 +31,14 @@ def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
 
     figure = Figure(figsize=(12, 7), layout="constrained")
     grid = figure.add_gridspec(2, 3)
-    shown, turning, detail = (figure.add_subplot(grid[0, column]) for column in range(3))
+    shown, turning, numbers = (figure.add_subplot(grid[0, column]) for column in range(3))
     depths, decisions = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1:])
     frame = srgb_from_radiance(look.denoised[0])
     _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
     view = srgb_from_radiance(look.radiance[0])
     turns = (look.gloss[0] != DIFFUSE) | look.reflected[0]
     _image(turning, _marked(view, turns, _TURNING), "radiance turns with the view (red)")
-    _plot_gaussians(detail, plan)
+    _plot_gaussians(numbers, plan)
     _plot_depths(depths, plan)
     rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
     decisions.axis("off")

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
 from splat.model.gaussians import SH_DC
 from splat.model.layer import Layer
+from splat.model.motion import turned
 from splat.model.points import Floats, Ints, drawn_in, means_of, rows_of, z_curve_keys
+from splat.model.trees import label_codes
 
 # Halvings of the cube around everything: a cell of the last ones is a fraction of a pixel in most frames.
 # Beyond this distance, in units of a place, cells grow with it: the sky is not to share them with all else.
@@ -157,9 +159,9 @@ class HitTree:
 
 def _kind(hits: Layer) -> NDArray[np.int64]:
     """(M,) a number for each label and each of the six ways that a surface may face."""
-    w, x, y, z = rows_of(hits.gaussians.rotations).T
-    normal = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    rotations = hits.gaussians.rotations.double()
+    along = torch.tensor([[0.0], [0.0], [1.0]], dtype=torch.float64).expand(3, len(hits))
+    normal = rows_of(turned(rotations, along))
     axis = np.abs(normal).argmax(axis=1)
     facing = 2 * axis + (np.take_along_axis(normal, axis[:, None], axis=1)[:, 0] > 0)
-    labels = 2 * hits.semantic.numpy().astype(np.int64) + hits.dynamic.numpy()
-    return 6 * np.unique(labels, return_inverse=True)[1] + facing
+    return 6 * np.unique(label_codes(hits), return_inverse=True)[1] + facing
