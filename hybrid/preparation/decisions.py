@@ -55,10 +55,8 @@ def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decis
     """A bound if it saves something: a small share of all radiance may be all of what is seen in glass."""
     shares = depth_shares(scene, cameras, _PATHS, seed)
     needed = max(shares.depth_for(MOST_BIAS), 2)
-    bounded, unbounded = (
-        path_costs(scene, cameras, _COSTED, (most, RUSSIAN_ROULETTE_DEPTH), seed).segments
-        for most in (needed, UNBOUNDED)
-    )
+    tried = [(most, RUSSIAN_ROULETTE_DEPTH) for most in (needed, UNBOUNDED)]
+    bounded, unbounded = (cost.segments for cost in path_costs(scene, cameras, _COSTED, tried, seed))
     pays = unbounded >= _LEAST_PATH_GAIN * bounded
     evidence = {
         "share_by_depth": [round(float(share), 6) for share in shares.shares[:needed]],
@@ -77,10 +75,9 @@ def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decis
 
 def _roulette(scene: Scene, cameras: Sequence[Camera], depth: int, seed: int) -> Decision:
     """The least work for equal noise: segments times variance."""
-    work = {}
-    for roulette in (RUSSIAN_ROULETTE_DEPTH, *_TRIED):
-        cost = path_costs(scene, cameras, _COSTED, (depth, roulette), seed)
-        work[roulette] = cost.segments * cost.variance
+    tried = (RUSSIAN_ROULETTE_DEPTH, *_TRIED)
+    costs = path_costs(scene, cameras, _COSTED, [(depth, roulette) for roulette in tried], seed)
+    work = {roulette: cost.segments * cost.variance for roulette, cost in zip(tried, costs, strict=True)}
     best = min(work, key=lambda roulette: work[roulette])
     if work[RUSSIAN_ROULETTE_DEPTH] < _LEAST_PATH_GAIN * work[best]:
         best = RUSSIAN_ROULETTE_DEPTH

@@ -127,7 +127,7 @@ def motion_of(courses: Sequence[Course]) -> NodeMotion | None:
     return NodeMotion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
 
 
-def train(
+def train(  # noqa: PLR0913 (a training's parts, each with one user)
     frames: Frames,
     path: Path,
     settings: TrainingSettings | None = None,
@@ -136,6 +136,7 @@ def train(
     start: Forest | None = None,
     light: SurfaceLight | None = None,
     precision: Precision = Precision.COMPACT,
+    paced: Callable[[float], int] | None = None,
 ) -> Forest:
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
@@ -148,6 +149,8 @@ def train(
         start: whose finest layer to go on from.
         light: on the surfaces that the frames show, in their coordinates; None if it is not known to change.
         precision: of the numbers in the file, which are those of the forest that is returned.
+        paced: told the seconds that a step takes, says how many steps it will be, LEAST_PACED or more; as in
+            the settings if None, and in trainings of fewer.
 
     Raises:
         UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
@@ -168,8 +171,10 @@ def train(
     del views
     checkpoint = checkpoint_path(path)
     restore_checkpoint(trainer, checkpoint, frames)
-    total = settings.iterations + fusion_steps(frames)
-    _run(trainer, lambda: save_checkpoint(trainer, checkpoint, frames), lambda done: progress(done, total))
+    total = lambda: trainer.settings.iterations + fusion_steps(frames)  # noqa: E731
+    save = lambda: save_checkpoint(trainer, checkpoint, frames)  # noqa: E731
+    _run(trainer, save, lambda done: progress(done, total()), paced)
+    settings = trainer.settings
     scene = frames.scene_name, frames.scene_hash
     forest = forest_of(trainer.forest(), focal, *scene, trainer.place, trainer.motion, trainer.light)
     if not forest.nodes.gaussians.is_finite():
@@ -178,7 +183,7 @@ def train(
     if precision is Precision.COMPACT:
         # Before the fusion, which is fitted to what will be drawn.
         forest = compact(forest)
-    further = lambda done, _: progress(settings.iterations + done, total)  # noqa: E731
+    further = lambda done, _: progress(settings.iterations + done, total())  # noqa: E731
     forest = attach_views(with_fusion(frames, forest, settings.seed, further), cameras)
     forest = attach_plan(forest, plan_with(frames, settings))
     save_forest(path, forest)
@@ -206,7 +211,17 @@ def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
         )
 
 
-def _run(trainer: Trainer, save: Callable[[], None], progress: Callable[[int], None]) -> None:
+# Steps of which the first ones are slow, and those after them that tell how long one takes. Trainings of
+# fewer steps than the last number are over before it is told.
+_SLOW, _TIMED, LEAST_PACED = 3, 5, 40
+
+
+def _run(
+    trainer: Trainer,
+    save: Callable[[], None],
+    progress: Callable[[int], None],
+    paced: Callable[[float], int] | None,
+) -> None:
     """Trains to the end; saves a checkpoint regularly and on Ctrl-C."""
     saved = time.perf_counter()
 
@@ -220,6 +235,13 @@ def _run(trainer: Trainer, save: Callable[[], None], progress: Callable[[int], N
 
     with interrupts_between_steps() as interrupted:
         try:
+            if paced is not None and trainer.settings.iterations >= LEAST_PACED:
+                trainer.run(step, trainer.iteration + _SLOW)
+                start = time.perf_counter()
+                trainer.run(step, trainer.iteration + _TIMED)
+                trainer.last(paced((time.perf_counter() - start) / _TIMED))
+                # Of a training of as many steps, which is what will be resumed.
+                save()
             trainer.run(step)
         except KeyboardInterrupt:
             save()

@@ -30,7 +30,7 @@ from hybrid.preparation.stage_frames import (
     stated_error,
     wanted_of,
 )
-from hybrid.preparation.stage_planner import JobClock, Planner
+from hybrid.preparation.stage_planner import PROBED, JobClock, Planner
 from hybrid.preparation.stages import PreparationSettings
 from hybrid.render.forest_attachments import plan_of_forest, scene_as_trained
 from hybrid.render.irradiance import cache_for
@@ -165,10 +165,8 @@ class _Job:
         if self.planner.is_finished and path.is_file():
             self.passes.append(Pass(**self.planner.journal[f"pass {number}"]))
             return load_forest(path)
+        self._trace(frames, before)
         stages = self.planner.stages
-        views = stage_views(self.region, stages, self.settings.seed)
-        with self.bars(f"stage {number + 1}: frames (samples)") as bar:
-            frames.grow(wanted_of(frames, views, stages[-1], before), bar)
         seconds = self.planner.lap("frame") + (self.passes[-1].seconds if self.passes else 0.0)
         found = read_frame_set(frames.folder)
         light = None
@@ -183,6 +181,21 @@ class _Job:
             store_forest(forest, self.folder.name)
         return forest
 
+    def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
+        """Traces the frames of a stage; the first of them tell how many there can be."""
+        stages, number = self.planner.stages, self.planner.number
+        with self.bars(f"stage {number + 1}: frames (samples)") as bar:
+            views = stage_views(self.region, stages, self.settings.seed)
+            if self.planner.is_to_fit:
+                wanted = wanted_of(frames, views, stages[0], None)
+                # Kernels are compiled for the first frame.
+                frames.grow(wanted[:1], bar)
+                start = time.perf_counter()
+                frames.grow(wanted[: 1 + PROBED], bar)
+                self.planner.fit_first(time.perf_counter() - start)
+                views = stage_views(self.region, stages, self.settings.seed)
+            frames.grow(wanted_of(frames, views, stages[-1], before), bar)
+
     def _trained(
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None
     ) -> Forest:
@@ -196,7 +209,7 @@ class _Job:
             frames, iterations=self.planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
         )
         with self.bars(f"stage {number + 1}: forest (steps)") as bar:
-            forest = train(frames, path, settings, bar, start=before, light=light)
+            forest = train(frames, path, settings, bar, start=before, light=light, paced=self.planner.paced)
         self.planner.lap("training")
         return forest
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 from hybrid.base.journal import Journal
+from hybrid.preparation.forest_training import LEAST_PACED
 from hybrid.preparation.stages import QUALITIES, SIDE, Needs, PreparationSettings, Stage, planned_stage
 
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
@@ -26,6 +27,8 @@ _SHOWN, _SHOWN_LESS = 0.56, 0.65
 _LEAST_SHARE, _REST_VIEWS, _REST_STEPS, _LEAST_REST = 0.3, 16, 200, 150
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
+# Least share of the first stage's views, and how many of them tell how large it can be.
+_LEAST_FIRST, PROBED = 0.25, 3
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,11 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
 def affordable_steps(stage: Stage, before: Sequence[Stage], seconds: float, pace: Seconds) -> int:
     """Steps of a stage, whose frames are there, that fit in a time at some pace; at least a tenth of them."""
     steps = int((seconds / pace.training - _prepared(stage, before)) / step_seconds(stage))
-    return max(min(stage.steps, steps), -int(-stage.steps * _LEAST_STEPS // 1))
+    return max(min(stage.steps, steps), _least_steps(stage))
+
+
+def _least_steps(stage: Stage) -> int:
+    return max(-int(-stage.steps * _LEAST_STEPS // 1), min(stage.steps, LEAST_PACED))
 
 
 def step_seconds(stage: Stage) -> float:
@@ -69,19 +76,32 @@ def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float
     """The stage to do next; None if there is no time for one.
 
     It is stretched over the time that would be left without use. Where it has too little time, the last one
-    goes on. `left` is in seconds; None if time does not matter.
+    goes on; the first one shrinks. `left` is in seconds; None if time does not matter.
     """
     number = sum(not one.is_rest for one in before)
     stage = planned_stage(number, needs)
-    if left is None or not before:
+    if left is None:
         return stage
     share = _share(stage, before, pace, left)
-    if share < _LEAST_SHARE:
+    if share < _LEAST_SHARE and before:
         return _rest(before, pace, left)
+    if share < 1 and not before:
+        return _first(stage, pace, left)
     following = planned_stage(number + 1, needs)
     left_then = left - expected_seconds(stage, before).at(pace)
     another_fits = _share(following, [*before, stage], pace, left_then) >= _LEAST_SHARE
     return stage if another_fits else stage.in_time(share)
+
+
+def _first(stage: Stage, pace: Seconds, left: float) -> Stage:
+    """The first stage in less than its time: with fewer steps, and then with fewer views.
+
+    What no view shows is missing: with 10 views `room` had 20 dB, with 20 views and as many steps 29.
+    """
+    frames = expected_seconds(stage, []).frames * pace.frames
+    stage = replace(stage, steps=affordable_steps(stage, [], left - frames, pace))
+    share = (left - expected_seconds(stage, []).training * pace.training) / frames
+    return replace(stage, views=round(stage.views * min(max(share, _LEAST_FIRST), 1.0)))
 
 
 def _rest(before: Sequence[Stage], pace: Seconds, left: float) -> Stage | None:
@@ -147,6 +167,8 @@ _MOST_STAGES, _LEAST_GAIN = 8, 0.15
 _LEAST_STAGES = 3
 
 
+# In the journal, the pace that the first views have told.
+_PROBE = "probe"
 # Parts of a stage, in their order.
 PARTS = "frame", "light", "training"
 
@@ -155,7 +177,7 @@ class Planner:
     """Decides what to do next; what it has decided once is in the journal, and stays."""
 
     def __init__(self, settings: PreparationSettings, journal: Journal, clock: JobClock, needs: Needs):
-        self._settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
+        self.settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
         # Those begun.
         self.stages: list[Stage] = []
 
@@ -173,9 +195,46 @@ class Planner:
         """Of the last stage, from 0."""
         return len(self.stages) - 1
 
+    @property
+    def is_to_fit(self) -> bool:
+        """Whether it is not known yet how large the first stage, which has begun, can be."""
+        return not self.number and self.settings.minutes is not None and _PROBE not in self.journal
+
+    def fit_first(self, seconds: float) -> None:
+        """Fits the first stage into the time, by the seconds that PROBED of its views took after one."""
+        stage = self.stages[0]
+        slower = seconds / _frames(PROBED, stage, stage.spp_at(stage.scale))
+        # How much slower the machine is, training will be; the rest is the scene's paths.
+        self.journal[_PROBE] = asdict(Seconds(slower, slower**0.5))
+        left = self._left()
+        assert left is not None
+        fitting = next_stage([], self._needs, self._pace(), left + (1 + 1 / PROBED) * seconds)
+        assert fitting is not None
+        self.journal["stage 0"] = asdict(replace(fitting, views=max(1 + PROBED, fitting.views)))
+        self.stages[0] = Stage(**self.journal["stage 0"])
+
     def steps(self) -> int:
         """Training steps of the last stage, for which its frames have left the time."""
         return self.journal.once(f"steps {self.number}", self._affordable)
+
+    @property
+    def paced(self) -> Callable[[float], int] | None:
+        """Told the seconds of a training step, says how many there will be; None if that is settled."""
+        is_settled = self.settings.minutes is None or f"paced {self.number}" in self.journal
+        return None if is_settled else self._paced
+
+    def _paced(self, seconds: float) -> int:
+        number, stage, before, left = self.number, self.stages[-1], self.stages[:-1], self._left()
+        assert left is not None
+        pace = replace(self._pace(), training=seconds / step_seconds(stage))
+        left -= pace.training * stage.gaussians * _BUILT if before else 0.0
+        steps, possible = self.journal[f"steps {number}"], int(left / seconds)
+        # No more than planned where the time that they leave is of use.
+        if next_stage([*self.stages], self._needs, pace, left - seconds * stage.steps) is not None:
+            possible = min(possible, stage.steps)
+        self.journal[f"steps {number}"] = steps = max(possible, _least_steps(stage))
+        self.journal[f"paced {number}"] = seconds
+        return steps
 
     def lap(self, part: str) -> float:
         """Notes that the last stage has done one of PARTS; returns the seconds that it took, in all runs."""
@@ -192,19 +251,20 @@ class Planner:
     @property
     def fits_fusion(self) -> bool:
         """Whether there is time for a fusion."""
-        minutes = self._settings.minutes
+        minutes = self.settings.minutes
         return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
 
     @property
     def fusion_share(self) -> float:
         """Share of the samples for which the fusion has time, up to 1."""
-        minutes, wanted = self._settings.minutes, _FUSION_SECONDS * self._pace().frames
+        minutes, wanted = self.settings.minutes, _FUSION_SECONDS * self._pace().frames
         return 1.0 if minutes is None else min(1.0, 60 * minutes * _FUSION_SHARE / wanted)
 
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
-        left = self._left()
+        # How long the first stage takes is not known before it has begun.
+        left = self._left() if number else None
         if left is not None and f"light seconds {number - 1}" in self.journal:
             # What it depends on, Gaussians and times, grows little from stage to stage.
             left -= self.journal[f"light seconds {number - 1}"]
@@ -214,30 +274,30 @@ class Planner:
     def _is_enough(self, number: int, psnr: list[float]) -> bool:
         """Whether what was asked for is reached, or no more is to be had."""
         gained = len(psnr) < _LEAST_STAGES or psnr[-1] - psnr[-2] >= _LEAST_GAIN
-        if self._settings.psnr is not None:
-            return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
-        if self._settings.minutes is not None:
+        if self.settings.psnr is not None:
+            return psnr[-1] >= self.settings.psnr or not gained or number >= _MOST_STAGES
+        if self.settings.minutes is not None:
             return number >= _MOST_STAGES
-        return number >= QUALITIES[self._settings.quality] or not gained
+        return number >= QUALITIES[self.settings.quality] or not gained
 
     def _affordable(self) -> int:
         stage, before, left = self.stages[-1], self.stages[:-1], self._left()
-        if left is None or not before:
+        if left is None:
             return stage.steps
         return affordable_steps(stage, before, left, self._pace())
 
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""
-        if self._settings.minutes is None:
+        if self.settings.minutes is None:
             return None
         fusion = _FUSION_SECONDS * self._pace().frames * self.fusion_share if self.fits_fusion else 0.0
-        return 60 * _USED * self._settings.minutes - self.clock.seconds() - fusion
+        return 60 * _USED * self.settings.minutes - self.clock.seconds() - fusion
 
     def _pace(self) -> Seconds:
-        """Seconds that finished stages took, over the expected ones; as expected before the first."""
+        """Seconds that finished stages took, over expected ones; before the first, as its views tell."""
         finished = [n for n in range(len(self.stages)) if f"training seconds {n}" in self.journal]
         if not finished:
-            return AS_EXPECTED
+            return Seconds(**self.journal[_PROBE]) if _PROBE in self.journal else AS_EXPECTED
         done = [
             (replace(self.stages[n], steps=self.journal[f"steps {n}"]), self.stages[:n]) for n in finished
         ]

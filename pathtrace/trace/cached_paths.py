@@ -29,7 +29,7 @@ _SURVIVAL = 0.95
 
 @dataclass(frozen=True)
 class PathSettings:
-    """How paths are traced; part of the kernel.
+    """How paths are traced; part of the kernel, except for depths that are opaque (mi.UInt32).
 
     Attributes:
         max_depth: number of path segments at most; below 0 for no bound.
@@ -41,27 +41,37 @@ class PathSettings:
             the largest of its channels; None for no bound, without which the result is unbiased.
     """
 
-    max_depth: int
-    roulette_depth: int
+    max_depth: Any
+    roulette_depth: Any
     shadow_rays: int
     thin_glass: bool = False
     most_indirect: float | None = None
 
 
 class DepthBins:
-    """Adds up luminance by the number of segments of paths, and counts segments."""
+    """Adds up luminance by the number of segments of paths, and counts segments, for groups of paths apart.
 
-    def __init__(self, most: int) -> None:
-        self.sums = dr.zeros(mi.Float, most)
-        self.segments = dr.zeros(mi.UInt32, 1)
-        self._most = most
+    Args:
+        most: paths of more segments count as such of so many.
+        groups: G, their number.
+        group: (N,) of each path.
+
+    Attributes:
+        sums: (G * most,) luminance.
+        segments: (G,).
+    """
+
+    def __init__(self, most: int, groups: int, group: Any) -> None:
+        self.sums = dr.zeros(mi.Float, groups * most)
+        self.segments = dr.zeros(mi.UInt32, groups)
+        self._most, self._group = most, group
 
     def add(self, active: Any, *added: tuple[Any, Any]) -> None:
         """Takes which of N paths have another segment, and colours with their paths' number of segments."""
-        dr.scatter_add(self.segments, mi.UInt32(1), mi.UInt32(0), active)
+        dr.scatter_add(self.segments, mi.UInt32(1), self._group, active)
         for radiance, segments in added:
             luminance = mi.luminance(radiance)
-            index = dr.minimum(segments, self._most) - 1
+            index = self._group * self._most + dr.minimum(segments, self._most) - 1
             dr.scatter_add(self.sums, luminance, index, dr.isfinite(luminance) & (luminance > 0))
 
 
@@ -87,7 +97,8 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
         cache: in which paths end; with one that knows no cell, the result is unbiased.
         bins: adds up what paths of each number of segments bring.
     """
-    depths = settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
+    bounded = not isinstance(settings.max_depth, int) or settings.max_depth >= 0
+    depths = settings.max_depth if bounded else _UNBOUNDED
     radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
     hit = mi.SurfaceInteraction3f(surface)
     # Of the vertex before: where it is, how its direction was sampled, and how many samples its light had.

@@ -80,9 +80,12 @@ def opaque_camera(camera: Camera) -> tuple[Any, ...]:
     return (uploaded(mi.Float, np.array([pose[:3, 3], ax, ay, az], dtype=np.float32)),)
 
 
-def ray_through(camera: tuple[Any, ...], x: Any, y: Any) -> Any:
-    """Rays of an `opaque_camera` through film coordinates x and y, (N,) Dr.Jit floats."""
-    values = [dr.gather(mi.Float, camera[0], i) for i in range(12)]
+def ray_through(camera: tuple[Any, ...], x: Any, y: Any, number: Any = 0) -> Any:
+    """Rays of an `opaque_camera` through film coordinates x and y, (N,) Dr.Jit floats.
+
+    Of several cameras, joined end to end, `number` says which one a ray is of.
+    """
+    values = [dr.gather(mi.Float, camera[0], 12 * number + i) for i in range(12)]
     origin = mi.Point3f(*values[:3])
     ax, ay, az = (mi.Vector3f(*values[i : i + 3]) for i in (3, 6, 9))
     return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))

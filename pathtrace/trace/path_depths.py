@@ -21,6 +21,8 @@ from pathtrace.trace.sampling import Sequences, sobol_tables
 
 # Path depth without a bound.
 UNBOUNDED = -1
+# What stands for it in kernels.
+_LONGEST = 1 << 30
 # Longest paths that are told apart.
 MOST_SEGMENTS = 64
 # Segments from which on roulette ends paths. Later than when rendering: long paths are what is asked for.
@@ -91,42 +93,54 @@ def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: in
     Each view has a number of samples, which are spread over its frame.
     """
     count = -(-samples // _PARTS)
-    means = np.zeros((_PARTS, MOST_SEGMENTS))
-    for part in range(_PARTS):
-        for number, camera in enumerate(cameras):
-            _, bins = _traced(scene, camera, count, (UNBOUNDED, _ROULETTE), [seed, part, number])
-            means[part] += bins.sums.numpy() / count
-    return DepthShares(means / len(cameras))
+    _, bins = _traced(scene, cameras, count, [(UNBOUNDED, _ROULETTE)] * _PARTS, seed)
+    return DepthShares(bins.sums.numpy().reshape(_PARTS, MOST_SEGMENTS) / (count * len(cameras)))
 
 
 def path_costs(
-    scene: Scene, cameras: Sequence[Camera], samples: int, depths: tuple[int, int], seed: int
-) -> PathCosts:
-    """What paths cost that are no longer than a depth (below 0: any), and play roulette from another."""
-    segments, variances = 0.0, []
-    for number, camera in enumerate(cameras):
-        radiance, bins = _traced(scene, camera, samples, depths, [seed, number])
-        found = np.sort(mi.luminance(radiance).numpy())[: max(1, int(samples * (1 - _FIREFLIES)))]
-        variances.append(float(found.var()))
-        # What the camera sees is the first segment of every path.
-        segments += 1 + int(bins.segments.numpy()[0]) / samples
-    return PathCosts(segments / len(cameras), float(np.mean(variances)))
+    scene: Scene, cameras: Sequence[Camera], samples: int, depths: Sequence[tuple[int, int]], seed: int
+) -> list[PathCosts]:
+    """What paths cost that are no longer than a depth (below 0: any), and play roulette from another.
+
+    For each of up to _PARTS such pairs of depths; each view has a number of samples for each.
+    """
+    radiance, bins = _traced(scene, cameras, samples, depths, seed)
+    found = np.sort(mi.luminance(radiance).numpy().reshape(len(depths), len(cameras), samples))
+    variances = found[..., : max(1, int(samples * (1 - _FIREFLIES)))].var(axis=-1).mean(axis=-1)
+    # What the camera sees is the first segment of every path.
+    segments = 1 + bins.segments.numpy()[: len(depths)] / (len(cameras) * samples)
+    return [PathCosts(float(mean), float(var)) for mean, var in zip(segments, variances, strict=True)]
 
 
 def _traced(
-    scene: Scene, camera: Camera, count: int, depths: tuple[int, int], seed: list[int]
+    scene: Scene, cameras: Sequence[Camera], count: int, depths: Sequence[tuple[int, int]], seed: int
 ) -> tuple[Any, DepthBins]:
-    """Radiance of paths spread over the frame, and what they bring and cost by their segments."""
+    """Radiance of `count` paths spread over the frame of each camera, for one pair of depths after another.
+
+    Also returns what the paths of each pair bring and cost. All in one launch, since with hundreds of lights
+    recording one takes ten times as long as its paths.
+    """
     state = int(np.random.SeedSequence(seed).generate_state(1)[0])
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, state), count)
-    x, y = sampler.next_1d() * camera.width, sampler.next_1d() * camera.height
-    ray, lane = ray_through(opaque_camera(camera), x, y), dr.arange(mi.UInt32, count)
+    sampler, total = mi.load_dict({"type": "independent"}), count * len(cameras) * len(depths)
+    sampler.seed(dr.opaque(mi.UInt32, state), total)
+    lane = dr.arange(mi.UInt32, total)
+    group = lane // dr.opaque(mi.UInt32, count * len(cameras))
+    number = lane // dr.opaque(mi.UInt32, count) - group * len(cameras)
+    of = lambda kind, values, index: dr.gather(kind, kind(list(values)), index)  # noqa: E731
+    x = sampler.next_1d() * of(mi.Float, (camera.width for camera in cameras), number)
+    y = sampler.next_1d() * of(mi.Float, (camera.height for camera in cameras), number)
+    vectors = (dr.concat([opaque_camera(camera)[0] for camera in cameras]),)
+    ray = ray_through(vectors, x, y, number)
     sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
-    settings = PathSettings(*depths, 1, scene.thin_glass)
+    most, roulette = (
+        of(mi.UInt32, (depth if depth >= 0 else _LONGEST for depth in each), group)
+        for each in zip(*depths, strict=True)
+    )
+    settings = PathSettings(most, roulette, 1, scene.thin_glass)
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
-    bins, surface, active = DepthBins(MOST_SEGMENTS), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
-    known = empty.arrays(scene.mitsuba)
+    surface, active = scene.mitsuba.ray_intersect(ray), mi.Bool(True)
+    # As many groups for all, since their number is part of the kernel.
+    bins, known = DepthBins(MOST_SEGMENTS, _PARTS, group), empty.arrays(scene.mitsuba)
     radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known, bins)
     dr.eval(radiance, bins.sums, bins.segments)
     return radiance, bins

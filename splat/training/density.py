@@ -59,8 +59,12 @@ class DensityControl:
     ):
         self.iterations, self.initial_count, self.final_count = iterations, initial_count, final_count
         self._motion, self._light = motion, light
-        self._every = max(1, min(_EVERY, int((_LAST - _FIRST) * iterations) // _CHANGES))
         self._errors: dict[int, torch.Tensor] = {}
+
+    @property
+    def _every(self) -> int:
+        """Iterations from one change to the next."""
+        return max(1, min(_EVERY, int((_LAST - _FIRST) * self.iterations) // _CHANGES))
 
     def observe(self, view: int, error: torch.Tensor) -> None:
         """Records a view's latest error per pixel (H, W)."""

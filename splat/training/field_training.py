@@ -156,10 +156,10 @@ _VALUES, _MOMENTS = "values.", "moments."
 
 
 class FieldOptimizer:
-    """Optimizes the field of a learned motion in place, in a training of so many steps."""
+    """Optimizes the field of a learned motion in place, in a training of so many `steps`."""
 
     def __init__(self, motion: LearnedMotion, steps: int):
-        self._motion, self._steps, self._rates = motion, steps, list(motion.field.RATES.values())
+        self._motion, self.steps, self._rates = motion, steps, list(motion.field.RATES.values())
         groups: list[dict[str, Any]] = [{"params": []} for _ in self._rates]
         for name, parameter in motion.field.named_parameters():
             # The last one, without a name, takes all that no other one has.
@@ -170,7 +170,7 @@ class FieldOptimizer:
 
     def step(self, done: int, valid: bool) -> None:
         """Takes one step by the gradients, if they are `valid`: those of a finite loss; and clears them."""
-        progress = done / self._steps
+        progress = done / self.steps
         gradients = [parameter.grad for parameter in self._parameters if parameter.grad is not None]
         finite = all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
         if valid and finite and gradients and progress >= _WARM_UP:

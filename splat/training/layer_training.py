@@ -121,6 +121,12 @@ class LayerTraining:
         if self._light is not None:
             self._light.follow(self.layer)
 
+    def last(self, steps: int) -> None:
+        """Makes it so many steps in all."""
+        self._steps = steps
+        if self.begun:
+            self._density.iterations = steps
+
     def extend(self, layer: Layer) -> None:
         """Continues with the same nodes, possibly with other parents, and with new nodes after them."""
         before = len(self._tree)

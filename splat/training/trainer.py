@@ -150,8 +150,8 @@ class Trainer:
             self._field = FieldOptimizer(learned, settings.iterations)
         focal = finest_focal(views) / _ABOUT_AS_FINE
         self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
-        self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
-        steps = np.bincount(self._schedule, minlength=settings.layers).clip(min=1).tolist()
+        self._alone = _ALONE if start is None else _ALONE_AGAIN
+        steps = self._scheduled()
         images = [at_resolution(views, settings.layers - 1 - index) for index in range(settings.layers)]
         further = self.motion, self.light, settings.all_harmonics
         self._layers = [
@@ -159,7 +159,6 @@ class Trainer:
             for index, count in enumerate(steps)
         ]
         self.iteration = 0
-        self._settling = int(_SETTLED * settings.iterations)
         rng = np.random.default_rng([settings.seed, 0])
         if start is None:
             lit = None if self.light is None else NodeLight(self.light)
@@ -172,6 +171,26 @@ class Trainer:
             # All may turn with the view, also those that did not in the earlier training.
             known = replace(known, gaussians=known.gaussians.all_turning())
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
+
+    def _scheduled(self) -> list[int]:
+        """The steps of each layer, once they are scheduled."""
+        self._schedule = training_schedule(self.settings, self._alone)
+        self._settling = int(_SETTLED * self.settings.iterations)
+        return np.bincount(self._schedule, minlength=self.settings.layers).clip(min=1).tolist()
+
+    def last(self, iterations: int) -> None:
+        """Makes it so many steps in all, while there is one layer yet.
+
+        Raises:
+            ValueError: some of these steps would have been of other layers.
+        """
+        if self.iteration > _ALONE * min(iterations, self.settings.iterations):
+            raise ValueError(f"after {self.iteration} steps, there cannot be {iterations} in all any more")
+        self.settings = replace(self.settings, iterations=iterations)
+        for training, steps in zip(self._layers, self._scheduled(), strict=True):
+            training.last(steps)
+        if self._field is not None:
+            self._field.steps = iterations
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
         """Trains up to iteration `until`, by default to the end; tells `progress` the steps after each."""

@@ -26,7 +26,23 @@ def test_a_stage_for_which_little_time_is_left_is_shorter_or_left_out():
     assert 0.3 * STAGE.steps < half.steps < 0.6 * STAGE.steps
     assert expected_seconds(half, BEFORE).at(AS_EXPECTED) == pytest.approx(0.6 * SECONDS, rel=0.02)
     assert next_stage(BEFORE, Needs(), AS_EXPECTED, 0.1) is None
-    assert next_stage([], Needs(), AS_EXPECTED, 0.0) == STAGES[0]
+
+
+def test_the_first_stage_has_fewer_steps_before_it_has_fewer_views():
+    whole = expected_seconds(STAGES[0], [])
+    assert next_stage([], Needs(), AS_EXPECTED, None) == STAGES[0]
+    some = next_stage([], Needs(), AS_EXPECTED, 0.8 * whole.at(AS_EXPECTED))
+    assert some is not None
+    assert some.views == STAGES[0].views
+    assert 0.3 * STAGES[0].steps < some.steps < 0.8 * STAGES[0].steps
+    assert expected_seconds(some, []).at(AS_EXPECTED) == pytest.approx(0.8 * whole.at(AS_EXPECTED), rel=0.02)
+    few = next_stage([], Needs(), AS_EXPECTED, 0.6 * whole.at(AS_EXPECTED))
+    assert few is not None
+    assert (few.steps, few.gaussians) == (40, STAGES[0].gaussians)
+    assert 8 < few.views < STAGES[0].views
+    least = next_stage([], Needs(), AS_EXPECTED, -5.0)
+    assert least is not None
+    assert (least.views, least.steps) == (8, 40)
 
 
 def test_where_no_further_stage_fits_the_last_one_goes_on():
@@ -103,3 +119,4 @@ def test_steps_fit_in_the_time_that_frames_have_left():
     assert affordable_steps(STAGE, BEFORE, 15.0, Seconds(1.0, 0.5)) == steps
     assert affordable_steps(STAGE, BEFORE, 1e6, AS_EXPECTED) == STAGE.steps
     assert affordable_steps(STAGE, BEFORE, -5, AS_EXPECTED) == STAGE.steps / 10
+    assert affordable_steps(STAGES[0], [], -5, AS_EXPECTED) == 40
