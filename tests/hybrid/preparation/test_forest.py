@@ -91,6 +91,32 @@ def test_ctrl_c_leaves_a_checkpoint_and_the_next_run_ends_the_same(
             assert torch.equal(found, expected)
 
 
+def test_the_first_steps_tell_how_many_there_will_be(frames, training_settings, tmp_path):
+    """That is asked once, and holds after an interruption too."""
+    settings, asked, told = replace(training_settings, iterations=60), [], []
+
+    def paced(seconds: float) -> int:
+        asked.append(seconds)
+        return 45
+
+    def interrupt(done: int, total: int) -> None:
+        told.append(total)
+        if done == 30:
+            signal.raise_signal(signal.SIGINT)
+
+    whole = train(frames, tmp_path / "whole", settings, paced=paced)
+    assert len(asked) == 1
+    assert 0 < asked[0] < 60
+    with pytest.raises(KeyboardInterrupt):
+        train(frames, tmp_path / "parts", settings, interrupt, paced=paced)
+    assert told == [60] * 8 + [45] * 22
+    parts = train(frames, tmp_path / "parts", replace(settings, iterations=45))
+    assert parts.digest() == whole.digest()
+    # The others are over before anybody could tell.
+    train(frames, tmp_path / "short", training_settings, paced=paced)
+    assert len(asked) == 2
+
+
 def test_a_checkpoint_is_saved_every_thirty_seconds(frames, training_settings, tmp_path, monkeypatch):
     now, saved = [0.0], []
 

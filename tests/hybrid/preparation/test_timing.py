@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import pytest
 
+from hybrid.base.journal import Journal
 from hybrid.preparation.stage_planner import (
     AS_EXPECTED,
+    PROBED,
+    JobClock,
+    Planner,
     Seconds,
     affordable_steps,
     expected_seconds,
     next_stage,
     step_seconds,
 )
-from hybrid.preparation.stages import STAGES, Needs
+from hybrid.preparation.stages import STAGES, Needs, PreparationSettings
 
 STAGE, BEFORE = STAGES[1], STAGES[:1]
 SECONDS = expected_seconds(STAGE, BEFORE).at(AS_EXPECTED)
@@ -120,3 +125,49 @@ def test_steps_fit_in_the_time_that_frames_have_left():
     assert affordable_steps(STAGE, BEFORE, 1e6, AS_EXPECTED) == STAGE.steps
     assert affordable_steps(STAGE, BEFORE, -5, AS_EXPECTED) == STAGE.steps / 10
     assert affordable_steps(STAGES[0], [], -5, AS_EXPECTED) == 40
+
+
+def begun(path, minutes: float | None, spent: float) -> Planner:
+    """A planner in the first stage of a job that began some seconds ago."""
+    settings, journal = PreparationSettings(minutes=minutes), Journal(path, {"name": "a job"})
+    planner = Planner(settings, journal, JobClock(journal, time.perf_counter() - spent), Needs())
+    assert planner.begin([])
+    return planner
+
+
+def test_the_first_views_tell_how_large_the_first_stage_can_be(tmp_path):
+    planner = begun(tmp_path / "job", 0.6, 10.0)
+    assert planner.is_to_fit
+    planner.fit_first(PROBED * 1.0)
+    fitted = planner.stages[0]
+    # A view takes a second, so that not all of them fit into 26 seconds, and hardly a step beside them.
+    assert 8 <= fitted.views < 26
+    assert fitted.steps == 40
+    assert not planner.is_to_fit
+    # What was decided holds in the next run.
+    again = begun(tmp_path / "job", 0.6, 10.0)
+    assert not again.is_to_fit
+    assert again.stages == [fitted]
+
+
+def test_without_a_limit_nothing_is_fitted(tmp_path):
+    planner = begun(tmp_path / "job", None, 10.0)
+    assert not planner.is_to_fit
+    assert planner.paced is None
+    assert planner.steps() == STAGES[0].steps
+
+
+@pytest.mark.parametrize(
+    ("seconds", "least", "most"),
+    [(0.1, 95, 105), (0.01, 140, 140), (9.0, 40, 40)],
+    ids=["fits", "leaves-time-for-more", "hardly-fits"],
+)
+def test_the_first_steps_tell_how_many_fit(tmp_path, seconds, least, most):
+    """In about ten seconds; where another stage fits afterwards, there are no more than planned."""
+    planner = begun(tmp_path / "job", 1.0, 48.0)
+    assert planner.steps() == 140
+    assert planner.paced is not None
+    found = planner.paced(seconds)
+    assert least <= found <= most
+    assert planner.steps() == found
+    assert planner.paced is None

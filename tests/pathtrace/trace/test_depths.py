@@ -7,7 +7,7 @@ import pytest
 
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions, interleaved
-from pathtrace.trace.path_depths import MOST_SEGMENTS, DepthShares, depth_shares
+from pathtrace.trace.path_depths import MOST_SEGMENTS, DepthShares, depth_shares, path_costs
 from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.pathtrace.trace.test_cached_paths import room
@@ -64,3 +64,13 @@ def test_the_same_seed_gives_the_same():
     a, b, c = (depth_shares(scene, [scene.camera], 1 << 10, seed).radiance for seed in (3, 3, 4))
     np.testing.assert_allclose(a, b, rtol=1e-6)
     assert not np.allclose(a, c)
+
+
+def test_paths_of_several_bounds_are_counted_apart():
+    """In a furnace all paths are as long as they may be; and those of two views are counted together."""
+    scene = load_scene(small.furnace(0.5))
+    cameras = [scene.camera, scene.camera.resized(7, 5)]
+    costs = path_costs(scene, cameras, 256, [(2, 99), (5, 99), (1, 99)], 0)
+    assert [cost.segments for cost in costs] == [2, 5, 1]
+    # What is seen of the furnace itself is the same everywhere.
+    assert costs[2].variance == pytest.approx(0, abs=1e-12)

@@ -144,6 +144,32 @@ def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, often, s
     assert same(short, second)
 
 
+def test_early_on_the_number_of_steps_can_change(arrays, short, often):
+    """All that depends on it follows: with the same number, nothing changes."""
+    same_number, fewer = Trainer(arrays, WALLS, SHORT), Trainer(arrays, WALLS, SHORT)
+    for trainer, last in ((same_number, 60), (fewer, 40)):
+        trainer.run(until=8)
+        trainer.last(last)
+        trainer.run()
+        assert trainer.iteration == trainer.settings.iterations == last
+        check_forest(trainer.forest())
+    assert same(short, same_number)
+    assert sum(layer.done for layer in fewer._layers) == 40
+    assert min(layer.done for layer in fewer._layers) > 5
+    # As at the end of a training that was meant to have as many.
+    whole = Trainer(arrays, WALLS, replace(SHORT, iterations=40))
+    whole.run()
+    counts = [[len(layer) for layer in trainer.forest()] for trainer in (fewer, whole)]
+    np.testing.assert_allclose(*counts, rtol=0.1)
+
+
+def test_once_there_are_layers_it_cannot(arrays, often):
+    trainer = Trainer(arrays, WALLS, SHORT)
+    trainer.run(until=20)
+    with pytest.raises(ValueError, match="after 20 steps, there cannot be 49 in all any more"):
+        trainer.last(49)
+
+
 def test_another_seed_gives_another_forest(arrays, short, often):
     other = Trainer(arrays, WALLS, replace(SHORT, seed=1))
     other.run(until=1)
