@@ -50,6 +50,7 @@ def integrator(
     repeats: o.Repeats = 7,
     max_depth: o.MaxDepth = None,
     thin_glass: o.ThinGlass = False,
+    override: o.Override = None,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
 ) -> None:
@@ -58,7 +59,7 @@ def integrator(
     from hybrid.base.identity import machine
     from hybrid.bench.integrator_bench import bench_integrator
 
-    loaded = o.planned_scene(scene, max_depth, thin_glass)
+    loaded = o.planned_scene(scene, max_depth, thin_glass, override)
     with progress_bar("bench (samples)") as bar:
         found = bench_integrator(loaded, o.sized(loaded.camera, size), reference_spp, repeats, bar)
     cache = found["cache"]

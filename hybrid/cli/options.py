@@ -24,6 +24,7 @@ from splat.model.choices import Precision
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
+    from hybrid.preparation.decisions import Value
     from hybrid.render.frame_settings import FrameSettings
     from pathtrace.scene.scene import Scene
 
@@ -122,6 +123,14 @@ ThinGlass = Annotated[
         help="Panes of glass let shadow rays pass: far less noise where light comes through them.",
     ),
 ]
+Override = Annotated[
+    list[str] | None,
+    inputs(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Override a decision of the plan, such as degree=0 or 'path depth=12'. May be repeated.",
+    ),
+]
 RegionName = Annotated[
     str | None,
     typer.Option(
@@ -195,11 +204,23 @@ def loaded_scene(source: str, max_depth: int | None = None, thin_glass: bool = F
     return scene_as_stored(source, max_depth, thin_glass)
 
 
-def planned_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
-    """As `loaded_scene`, with a plan that is made if there is none."""
+def planned_scene(
+    source: str, max_depth: int | None, thin_glass: bool, override: list[str] | None = None
+) -> Scene:
+    """As `loaded_scene`, with a plan that is made if there is none, and of which items are overridden."""
     from hybrid.preparation.scene_plan import planned_scene as load
 
-    return load(source, max_depth, thin_glass, progress_bar)
+    return load(source, max_depth, thin_glass, progress_bar, overridden(override))
+
+
+def overridden(override: list[str] | None) -> dict[str, Value]:
+    """Items of a plan that `--set` asks for, by name."""
+    from hybrid.preparation.scene_plan import parsed
+
+    try:
+        return parsed(override or ())
+    except UserError as error:
+        raise UserError(f"--set {error}") from error
 
 
 def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from compose.base.errors import UserError
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 
@@ -17,14 +16,7 @@ def plan(
     region: o.RegionName = None,
     size: o.FixedSize = (1920, 1080),
     display: o.DisplayName = "desktop",
-    override: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Override a decision, such as degree=0 or 'path depth=12'. May be repeated.",
-        ),
-    ] = None,
+    override: o.Override = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a PNG of what the plan is based on.")
     ] = None,
@@ -42,15 +34,12 @@ def plan(
     from compose.eye.display import display_named
     from hybrid.base.identity import machine
     from hybrid.preparation.plan_picture import write_picture
-    from hybrid.preparation.scene_plan import overridden, parsed, plan_of, store_plan
+    from hybrid.preparation.scene_plan import overridden, plan_of, store_plan
     from hybrid.render.image_files import check_writable
     from pathtrace.scene.scene import load_scene
 
     shown = display_named(display)
-    try:
-        wanted = parsed(override or ())
-    except UserError as error:
-        raise UserError(f"--set {error}") from error
+    wanted = o.overridden(override)
     if picture is not None:
         check_writable(picture)
     loaded = load_scene(scene, None, thin_glass)

@@ -35,6 +35,7 @@ def prepare(
     size: o.FixedSize = (256, 256),
     max_depth: o.MaxDepth = None,
     thin_glass: o.ThinGlass = False,
+    override: o.Override = None,
     clamp_indirect: Annotated[
         float | None,
         o.inputs(
@@ -62,7 +63,7 @@ def prepare(
 
     if forest is not None:
         check_writable(forest)
-    loaded = o.planned_scene(scene, max_depth, thin_glass)
+    loaded = o.planned_scene(scene, max_depth, thin_glass, override)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
     prepared = run(loaded, settings, progress_bar, started=started)
     facts = prepared.facts

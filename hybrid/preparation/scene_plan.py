@@ -171,24 +171,32 @@ def planned_scene(
     max_depth: int | None = None,
     thin_glass: bool = False,
     bars: Bars = no_bars,
+    override: Mapping[str, Value] | None = None,
 ) -> Scene:
-    """As `scene_as_stored`, with a plan that is made if there is none (`as_planned`)."""
-    return as_planned(scene_as_stored(source, max_depth, thin_glass), bars)
+    """Loads a scene like `load_scene`, and as its plan has it (`as_planned`)."""
+    return as_planned(load_scene(source, max_depth, thin_glass), bars, override)
 
 
-def as_planned(scene: Scene, bars: Bars = no_bars) -> Scene:
-    """A scene as its plan has it; a plan is made and stored if there is none, which takes seconds to minutes.
+def as_planned(scene: Scene, bars: Bars = no_bars, override: Mapping[str, Value] | None = None) -> Scene:
+    """A scene as its plan has it, with items overridden, by name, that its stored plan keeps.
+
+    A plan is made and stored if there is none, which takes seconds to minutes.
 
     A scene that has a plan already, or that cannot be looked at because its camera sees no surface or stands
     in one, stays as it is.
 
     Raises:
-        UserError: the cache folder cannot be written, or the stored plan contradicts the scene.
+        UserError: the cache folder cannot be written, the stored plan contradicts the scene, or items of a
+            plan that cannot be made are overridden.
     """
     if scene.plan:
         return scene
     plan = plan_for(scene, bars)
-    return scene if plan is None else scene.planned(plan.values())
+    if plan is None:
+        if override:
+            raise UserError(f"{scene.name}: has no plan of which {', '.join(override)} could be overridden")
+        return scene
+    return scene.planned({**plan.values(), **(override or {})})
 
 
 def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:

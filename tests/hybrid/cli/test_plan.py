@@ -37,3 +37,13 @@ def test_mistakes_are_named_before_the_scene_is_looked_at(monkeypatch, tmp_path,
     assert run(monkeypatch, "plan", "cornell", "--picture", tmp_path / "file" / "p.png") == 2
     assert "file" in capsys.readouterr().err
     assert scene_as_stored("cornell").plan == {}
+
+
+def test_other_commands_override_it_too(monkeypatch, tmp_path, capsys):
+    frames = tmp_path / "frames"
+    for command in (["prepare", "cornell"], ["capture", "cornell", frames], ["quickstart", "cornell"]):
+        assert run(monkeypatch, *command, "--set", "degree=9") == 2
+        assert "--set degree=9: must be a whole number from 0 to 3" in capsys.readouterr().err
+    given = ["--views", 1, "--held-out", 1, "--size", 16, 16, "--held-out-spp", 2, "--set", "samples=2"]
+    assert run(monkeypatch, "capture", "cornell", frames, *given) == 0
+    assert json.loads((frames / "transforms.json").read_text())["settings"]["spp"] == 2

@@ -51,6 +51,16 @@ def test_a_depth_that_is_given_stays():
     assert load_scene("cornell").at_depth(3).hash == scene.hash
 
 
+def test_items_that_are_overridden_are_so_for_one_scene():
+    scene = planned_scene("cornell", override={"gaussians": 123, "path depth": 4})
+    assert (scene.plan["gaussians"], scene.max_depth) == (123, 4)
+    assert scene_as_stored("cornell").plan["gaussians"] != 123
+    assert planned_scene("cornell", 3, override={"path depth": 4}).max_depth == 3
+    empty = {"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}
+    with pytest.raises(UserError, match="has no plan of which degree could be overridden"):
+        planned_scene(empty, override={"degree": 1})
+
+
 def test_loading_renders_nothing(monkeypatch):
     monkeypatch.setattr(stored, "look_at_scene", lambda *arguments: pytest.fail("looked at"))
     scene = scene_as_stored(small.corner())
