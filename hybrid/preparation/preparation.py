@@ -41,7 +41,6 @@ from pathtrace.region.neighbourhood import view_time
 from pathtrace.region.viewing_regions import ViewingRegion, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.io.forest_file import load_forest, save_forest
@@ -90,7 +89,7 @@ def prepare(
         _LOG.warning("%s", difficulty)
     # As many samples as there is time for, where they help.
     scene = replace(scene, plan={name: value for name, value in scene.plan.items() if name != SAMPLES})
-    surfaces = Surfaces(scene)
+    surfaces = scene.surfaces()
     region = region_of(scene, surfaces, settings.region)
     planned = {"plan": dict(scene.plan)} if scene.plan else {}
     identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings), **planned}

@@ -41,7 +41,6 @@ from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region.viewing_regions import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import DEPTH, ROULETTE, Scene, load_scene
-from pathtrace.scene.triangles import Surfaces
 from splat.model.gaussians import MAX_DEGREE
 
 _LOG = logging.getLogger("hybrid")
@@ -92,7 +91,7 @@ def plan_of(
         UserError: the scene's own camera sees no surface, there is no such region, or no free space in it.
     """
     scene.show(0.0)
-    surfaces = Surfaces(scene)
+    surfaces = scene.surfaces()
     where = region_of(scene, surfaces, region)
     breadth = breadth_of(where, surfaces, seed)
     progress(1, _PARTS)

@@ -24,7 +24,6 @@ from pathtrace.fill.filling import fill_cache
 from pathtrace.fill.relight import Relighting
 from pathtrace.region.neighbourhood import choose_views
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.tracer import Tracer
 
 _CHECKSUM = "crc32"
@@ -126,7 +125,7 @@ def filled_cache(scene: Scene, progress: Steps = no_progress, seed: int = 0) -> 
     scene.show(0.0)
     camera = scene.camera
     try:
-        views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)
+        views = choose_views(scene, scene.surfaces(), _VIEWS, camera.width, camera.height, 0)
         cameras = [*views.fixed, *views.spread]
     except UserError:
         # There is no free space around the camera.

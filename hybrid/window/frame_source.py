@@ -21,7 +21,6 @@ from hybrid.render.irradiance import cache_for
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.integrator import Integrator
 
 # Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
@@ -57,7 +56,7 @@ class FrameSource:
     def ready(self) -> Ready:
         """What the window needs to know."""
         scene = self.renderer.scene
-        distance = Surfaces(scene).median_distance(scene.camera)
+        distance = scene.surfaces().median_distance(scene.camera)
         distance = distance if np.isfinite(distance) else 1.0
         seconds = None if scene.moving is None else scene.moving.motion.seconds
         return Ready(scene.name, scene.camera, distance, self.layers, seconds)

@@ -33,7 +33,6 @@ from pathtrace.dataset.captured_frames import (
 from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, FrameSet, read_frame_set
 from pathtrace.region.neighbourhood import ViewSet, choose_views, monocular_views
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 
@@ -218,7 +217,7 @@ def capture(
     count = settings.views + settings.held_out
     # The free space is that of the beginning, whatever the scene has shown last.
     scene.show(0.0)
-    size, surfaces = (settings.width, settings.height), Surfaces(scene)
+    size, surfaces = (settings.width, settings.height), scene.surfaces()
     if settings.monocular:
         views = monocular_views(scene, surfaces, count, *size)
     else:

@@ -18,7 +18,6 @@ from pathtrace.cache.light_selection import LightChoice
 from pathtrace.fill.gather import Seen, gather_direct, gather_seen
 from pathtrace.fill.guiding import GuidedPlaces, even_squares, guided_transfer, shuffled
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
 
@@ -103,7 +102,7 @@ def _state(random: np.random.Generator) -> int:
 
 
 def _scale(scene: Scene, camera: Camera) -> float:
-    distance = Surfaces(scene).median_distance(camera)
+    distance = scene.surfaces().median_distance(camera)
     return distance if np.isfinite(distance) else float(dr.max(scene.mitsuba.bbox().extents()))
 
 

@@ -221,7 +221,7 @@ def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View
     Of a scene that moves, they show times half a step from those of training views. Args and raises as in
     `choose_views`.
     """
-    neighbourhood = Neighbourhood.of(scene, Surfaces(scene), width, height)
+    neighbourhood = Neighbourhood.of(scene, scene.surfaces(), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
     return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
 

@@ -19,6 +19,7 @@ from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH, read_description, text_fingerprint
 from pathtrace.scene.sunsky import balanced_dictionary
+from pathtrace.scene.triangles import Surfaces
 
 _REPOSITORY_SCENES = Path(__file__).resolve().parents[2] / "scenes"
 _INSTALLED_SCENES = Path(__file__).resolve().parents[1] / "scenes"
@@ -115,6 +116,16 @@ class Scene:
     roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
     plan: Mapping[str, Any] = field(default_factory=dict)
     keeps_depth: bool = False
+    # Found once, for all scenes that differ in their plan or depth only.
+    _surfaces: list[Surfaces] = field(default_factory=list, repr=False, compare=False)
+
+    def surfaces(self) -> Surfaces:
+        """Its surfaces as they are now."""
+        if self.moving is not None:
+            return Surfaces(self)
+        if not self._surfaces:
+            self._surfaces.append(Surfaces(self))
+        return self._surfaces[0]
 
     def at_depth(self, depth: int) -> Scene:
         """The scene with another path depth, 1 or more, or -1 for no bound; it shares all else."""

@@ -16,6 +16,7 @@ from hybrid.render.image_files import read_exr
 from hybrid.window import frame_source as source_module
 from hybrid.window.frame_source import FrameSource
 from hybrid.window.messages import Request, ShownView
+from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions
 from tests.compose.arrays_of import numbers
 
@@ -37,7 +38,7 @@ def test_a_source_knows_its_scene(source):
 
 
 def test_where_nothing_is_seen_the_distance_is_one(source, monkeypatch):
-    monkeypatch.setattr(source_module.Surfaces, "median_distance", lambda self, camera: np.inf)
+    monkeypatch.setattr(Surfaces, "median_distance", lambda self, camera: np.inf)
     assert source.ready().distance == 1
 
 
