@@ -183,16 +183,17 @@ class _Job:
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""
         stages, number = self.planner.stages, self.planner.number
-        with self.bars(f"stage {number + 1}: frames (samples)") as bar:
-            views = stage_views(self.region, stages, self.settings.seed)
-            if self.planner.is_to_fit:
+        views = stage_views(self.region, stages, self.settings.seed)
+        if self.planner.is_to_fit:
+            with self.bars("first frames (samples)") as bar:
                 wanted = wanted_of(frames, views, stages[0], None)
-                # Kernels are compiled for the first frame.
+                # Kernels are compiled for the first one.
                 frames.grow(wanted[:1], bar)
                 start = time.perf_counter()
                 frames.grow(wanted[: 1 + PROBED], bar)
-                self.planner.fit_first(time.perf_counter() - start)
-                views = stage_views(self.region, stages, self.settings.seed)
+            self.planner.fit_first(time.perf_counter() - start)
+            views = stage_views(self.region, stages, self.settings.seed)
+        with self.bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
 
     def _trained(

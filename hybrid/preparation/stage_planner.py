@@ -177,7 +177,7 @@ class Planner:
     """Decides what to do next; what it has decided once is in the journal, and stays."""
 
     def __init__(self, settings: PreparationSettings, journal: Journal, clock: JobClock, needs: Needs):
-        self.settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
+        self._settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
         # Those begun.
         self.stages: list[Stage] = []
 
@@ -198,7 +198,7 @@ class Planner:
     @property
     def is_to_fit(self) -> bool:
         """Whether it is not known yet how large the first stage, which has begun, can be."""
-        return not self.number and self.settings.minutes is not None and _PROBE not in self.journal
+        return not self.number and self._settings.minutes is not None and _PROBE not in self.journal
 
     def fit_first(self, seconds: float) -> None:
         """Fits the first stage into the time, by the seconds that PROBED of its views took after one."""
@@ -220,17 +220,18 @@ class Planner:
     @property
     def paced(self) -> Callable[[float], int] | None:
         """Told the seconds of a training step, says how many there will be; None if that is settled."""
-        is_settled = self.settings.minutes is None or f"paced {self.number}" in self.journal
+        is_settled = self._settings.minutes is None or f"paced {self.number}" in self.journal
         return None if is_settled else self._paced
 
     def _paced(self, seconds: float) -> int:
-        number, stage, before, left = self.number, self.stages[-1], self.stages[:-1], self._left()
+        number, stage, left = self.number, self.stages[-1], self._left()
         assert left is not None
         pace = replace(self._pace(), training=seconds / step_seconds(stage))
-        left -= pace.training * stage.gaussians * _BUILT if before else 0.0
-        steps, possible = self.journal[f"steps {number}"], int(left / seconds)
+        if number:
+            left -= pace.training * stage.gaussians * _BUILT
+        possible = int(left / seconds)
         # No more than planned where the time that they leave is of use.
-        if next_stage([*self.stages], self._needs, pace, left - seconds * stage.steps) is not None:
+        if next_stage(self.stages, self._needs, pace, left - seconds * stage.steps) is not None:
             possible = min(possible, stage.steps)
         self.journal[f"steps {number}"] = steps = max(possible, _least_steps(stage))
         self.journal[f"paced {number}"] = seconds
@@ -251,13 +252,13 @@ class Planner:
     @property
     def fits_fusion(self) -> bool:
         """Whether there is time for a fusion."""
-        minutes = self.settings.minutes
+        minutes = self._settings.minutes
         return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
 
     @property
     def fusion_share(self) -> float:
         """Share of the samples for which the fusion has time, up to 1."""
-        minutes, wanted = self.settings.minutes, _FUSION_SECONDS * self._pace().frames
+        minutes, wanted = self._settings.minutes, _FUSION_SECONDS * self._pace().frames
         return 1.0 if minutes is None else min(1.0, 60 * minutes * _FUSION_SHARE / wanted)
 
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
@@ -274,11 +275,11 @@ class Planner:
     def _is_enough(self, number: int, psnr: list[float]) -> bool:
         """Whether what was asked for is reached, or no more is to be had."""
         gained = len(psnr) < _LEAST_STAGES or psnr[-1] - psnr[-2] >= _LEAST_GAIN
-        if self.settings.psnr is not None:
-            return psnr[-1] >= self.settings.psnr or not gained or number >= _MOST_STAGES
-        if self.settings.minutes is not None:
+        if self._settings.psnr is not None:
+            return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
+        if self._settings.minutes is not None:
             return number >= _MOST_STAGES
-        return number >= QUALITIES[self.settings.quality] or not gained
+        return number >= QUALITIES[self._settings.quality] or not gained
 
     def _affordable(self) -> int:
         stage, before, left = self.stages[-1], self.stages[:-1], self._left()
@@ -288,10 +289,10 @@ class Planner:
 
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""
-        if self.settings.minutes is None:
+        if self._settings.minutes is None:
             return None
         fusion = _FUSION_SECONDS * self._pace().frames * self.fusion_share if self.fits_fusion else 0.0
-        return 60 * _USED * self.settings.minutes - self.clock.seconds() - fusion
+        return 60 * _USED * self._settings.minutes - self.clock.seconds() - fusion
 
     def _pace(self) -> Seconds:
         """Seconds that finished stages took, over expected ones; before the first, as its views tell."""
