@@ -22,7 +22,8 @@ from pathtrace.cache.irradiance_cache import (
 from pathtrace.cache.light_selection import Lights
 from pathtrace.trace.sampling import LIGHT, SCATTERING, Sequences
 
-_UNBOUNDED = 1 << 30
+# The bound on the segments of paths that have none.
+LONGEST = 1 << 30
 # Share of paths that survive roulette at most.
 _SURVIVAL = 0.95
 
@@ -98,7 +99,7 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
         bins: adds up what paths of each number of segments bring.
     """
     bounded = not isinstance(settings.max_depth, int) or settings.max_depth >= 0
-    depths = settings.max_depth if bounded else _UNBOUNDED
+    depths = settings.max_depth if bounded else LONGEST
     radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
     hit = mi.SurfaceInteraction3f(surface)
     # Of the vertex before: where it is, how its direction was sampled, and how many samples its light had.

@@ -15,14 +15,12 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.cached_paths import DepthBins, PathSettings, path_radiance
+from pathtrace.trace.cached_paths import LONGEST, DepthBins, PathSettings, path_radiance
 from pathtrace.trace.film import opaque_camera, ray_through
 from pathtrace.trace.sampling import Sequences, sobol_tables
 
 # Path depth without a bound.
 UNBOUNDED = -1
-# What stands for it in kernels.
-_LONGEST = 1 << 30
 # Longest paths that are told apart.
 MOST_SEGMENTS = 64
 # Segments from which on roulette ends paths. Later than when rendering: long paths are what is asked for.
@@ -133,7 +131,7 @@ def _traced(
     ray = ray_through(vectors, x, y, number)
     sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
     most, roulette = (
-        of(mi.UInt32, (depth if depth >= 0 else _LONGEST for depth in each), group)
+        of(mi.UInt32, (depth if depth >= 0 else LONGEST for depth in each), group)
         for each in zip(*depths, strict=True)
     )
     settings = PathSettings(most, roulette, 1, scene.thin_glass)
