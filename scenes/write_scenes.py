@@ -34,7 +34,7 @@ CAMERA = np.array([1.1, 1.1, 1.45])
 TARGET = np.array([3.0, 2.07, 1.15])
 SUN_DIRECTION = np.array([0.42, -0.78, -0.60])
 
-Point = Sequence[float]
+Point = Sequence[float] | np.ndarray
 Colour = tuple[int, int, int]
 
 

@@ -202,8 +202,7 @@ class _Job:
         """The forest of a stage, in as many steps as there is time for."""
         stage, number = self.planner.stages[-1], self.planner.number
         # More layers than the display tells apart are none that a frame draws; the first frames show one.
-        first = sum(not one.is_rest for one in self.planner.stages) == 1
-        layers = 1 if first else min(stage.layers, frames.plan.get(LAYERS, stage.layers))
+        layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
         seed = self.settings.seed + number
         settings = planned_settings(
             frames, iterations=self.planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed

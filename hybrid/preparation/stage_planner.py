@@ -8,23 +8,33 @@ from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from hybrid.base.journal import Journal
 from hybrid.preparation.forest_training import LEAST_PACED
-from hybrid.preparation.stages import QUALITIES, SIDE, Needs, PreparationSettings, Stage, planned_stage
+from hybrid.preparation.stages import (
+    LEAST_SPP,
+    QUALITIES,
+    SIDE,
+    Needs,
+    PreparationSettings,
+    Stage,
+    planned_stage,
+)
 
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
 # and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian; to place the
 # first seeds.
-_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT, _SEEDED = 2.25e-6, 0.27e-6, 0.7e-6, 60e-6, 1.0
+_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT, _SEEDED = 3.0e-6, 0.36e-6, 0.7e-6, 60e-6, 1.0
 # A step without Gaussians, how many that the view shows take as long again, and how much longer larger frames
 # take without Gaussians.
 _STEP, _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 0.013, 18_000, 2.0
 # Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
 _SHOWN, _SHOWN_LESS = 0.56, 0.65
-# A stage that would get a smaller share of its time is not begun; instead, the last one goes on with views
-# and steps in this proportion, and at least so many steps: with 75, `room` lost 1.8 dB, since harmonics begin
-# anew and steps are large at first.
-_LEAST_SHARE, _REST_VIEWS, _REST_STEPS, _LEAST_REST = 0.3, 16, 200, 150
+# A stage that would get a smaller share of its time is not begun.
+_LEAST_SHARE = 0.3
+# Shares of its time that a stage may be stretched or shrunk to, the largest first.
+_SHARES = np.geomspace(16.0, _LEAST_SHARE, 200).tolist()
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
 # Least share of the first stage's views, and how many of them tell how large it can be.
@@ -55,12 +65,6 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
     return Seconds(frames, _prepared(stage, before) + stage.steps * step_seconds(stage))
 
 
-def affordable_steps(stage: Stage, before: Sequence[Stage], seconds: float, pace: Seconds) -> int:
-    """Steps of a stage, whose frames are there, that fit in a time at some pace; at least a tenth of them."""
-    steps = int((seconds / pace.training - _prepared(stage, before)) / step_seconds(stage))
-    return max(min(stage.steps, steps), _least_steps(stage))
-
-
 def _least_steps(stage: Stage) -> int:
     return max(-int(-stage.steps * _LEAST_STEPS // 1), min(stage.steps, LEAST_PACED))
 
@@ -75,46 +79,33 @@ def step_seconds(stage: Stage) -> float:
 def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float | None) -> Stage | None:
     """The stage to do next; None if there is no time for one.
 
-    It is stretched over the time that would be left without use. Where it has too little time, the last one
-    goes on; the first one shrinks. `left` is in seconds; None if time does not matter.
+    If there will be no time for another one, it is stretched over all of the time, or shrunk into it. `left`
+    is in seconds; None if time does not matter.
     """
-    number = sum(not one.is_rest for one in before)
-    stage = planned_stage(number, needs)
+    stage = planned_stage(len(before), needs)
     if left is None:
         return stage
-    share = _share(stage, before, pace, left)
-    if share < _LEAST_SHARE and before:
-        return _rest(before, pace, left)
-    if share < 1 and not before:
-        return _first(stage, pace, left)
-    following = planned_stage(number + 1, needs)
-    left_then = left - expected_seconds(stage, before).at(pace)
-    another_fits = _share(following, [*before, stage], pace, left_then) >= _LEAST_SHARE
-    return stage if another_fits else stage.in_time(share)
+    following = planned_stage(len(before) + 1, needs).in_time(_LEAST_SHARE)
+    both = expected_seconds(stage, before).at(pace) + expected_seconds(following, [*before, stage]).at(pace)
+    if both <= left:
+        return stage
+    possible = [stage.in_time(share) for share in _SHARES if before or share >= 1]
+    if not before:
+        possible += [replace(stage, spp=spp) for spp in range(stage.spp, LEAST_SPP - 1, -1)]
+    fitting = next((one for one in possible if expected_seconds(one, before).at(pace) <= left), None)
+    return fitting or (None if before else _least_first(possible[-1], pace, left))
 
 
-def _first(stage: Stage, pace: Seconds, left: float) -> Stage:
-    """The first stage in less than its time: with fewer steps, and then with fewer views.
+def _least_first(stage: Stage, pace: Seconds, left: float) -> Stage:
+    """The first stage, with few samples, in less than its time: with fewer steps, and then fewer views.
 
     What no view shows is missing: with 10 views `room` had 20 dB, with 20 views and as many steps 29.
     """
-    frames = expected_seconds(stage, []).frames * pace.frames
-    stage = replace(stage, steps=affordable_steps(stage, [], left - frames, pace))
-    share = (left - expected_seconds(stage, []).training * pace.training) / frames
-    return replace(stage, views=round(stage.views * min(max(share, _LEAST_FIRST), 1.0)))
-
-
-def _rest(before: Sequence[Stage], pace: Seconds, left: float) -> Stage | None:
-    """More views and steps of the last stage's kind, where nothing else fits; None if they are too few."""
-    stage = replace(before[-1], views=_REST_VIEWS, steps=_REST_STEPS, is_rest=True)
-    stage = stage.in_time(max(0.0, _share(stage, before, pace, left)))
-    return stage if stage.steps >= _LEAST_REST else None
-
-
-def _share(stage: Stage, before: Sequence[Stage], pace: Seconds, left: float) -> float:
-    """Share of a stage's new views and steps, or multiple of them, that fits in a time."""
-    least = expected_seconds(stage.in_time(0), before).at(pace)
-    return (left - least) / (expected_seconds(stage, before).at(pace) - least)
+    expected, step = expected_seconds(stage, []), step_seconds(stage) * pace.training
+    frames, besides = expected.frames * pace.frames, expected.training * pace.training - stage.steps * step
+    steps = int(np.clip((left - frames - besides) / step, _least_steps(stage), stage.steps))
+    share = (left - besides - steps * step) / frames
+    return replace(stage, steps=steps, views=round(stage.views * min(max(share, _LEAST_FIRST), 1.0)))
 
 
 def _frames(views: int, stage: Stage, spp: int) -> float:
@@ -156,9 +147,9 @@ class JobClock:
         self._journal[_KEY] = self.seconds()
 
 
-# Seconds that fitting the fusion takes where stages take as long as expected; it is left out of a job that
-# has less than twice as many, and has at most a share of any job.
-_FUSION_SECONDS, _FUSION_SHARE = 50.0, 1 / 3
+# What the frames of the fusion and its fit take where stages take as long as expected. It is left out of a
+# job of less than three times as much, and has at most a share of any job.
+_FUSION, _FUSION_SHARE = Seconds(11.0, 22.0), 1 / 3
 # Share of the time that is planned with: what a stage takes is known within a few percent.
 _USED = 0.97
 # Stages after which a target is given up, and the least gain in dB for which another stage is begun.
@@ -214,8 +205,8 @@ class Planner:
         self.stages[0] = Stage(**self.journal["stage 0"])
 
     def steps(self) -> int:
-        """Training steps of the last stage, for which its frames have left the time."""
-        return self.journal.once(f"steps {self.number}", self._affordable)
+        """Training steps of the last stage, as far as is known."""
+        return self.journal.once(f"steps {self.number}", lambda: self.stages[-1].steps)
 
     @property
     def paced(self) -> Callable[[float], int] | None:
@@ -253,13 +244,16 @@ class Planner:
     def fits_fusion(self) -> bool:
         """Whether there is time for a fusion."""
         minutes = self._settings.minutes
-        return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
+        return minutes is None or 60 * minutes * _FUSION_SHARE > _FUSION.at(AS_EXPECTED)
 
     @property
     def fusion_share(self) -> float:
         """Share of the samples for which the fusion has time, up to 1."""
-        minutes, wanted = self._settings.minutes, _FUSION_SECONDS * self._pace().frames
-        return 1.0 if minutes is None else min(1.0, 60 * minutes * _FUSION_SHARE / wanted)
+        minutes, pace = self._settings.minutes, self._pace()
+        if minutes is None:
+            return 1.0
+        for_frames = 60 * minutes * _FUSION_SHARE - _FUSION.training * pace.training
+        return min(1.0, max(0.0, for_frames) / (_FUSION.frames * pace.frames))
 
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
@@ -281,18 +275,13 @@ class Planner:
             return number >= _MOST_STAGES
         return number >= QUALITIES[self._settings.quality] or not gained
 
-    def _affordable(self) -> int:
-        stage, before, left = self.stages[-1], self.stages[:-1], self._left()
-        if left is None:
-            return stage.steps
-        return affordable_steps(stage, before, left, self._pace())
-
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""
         if self._settings.minutes is None:
             return None
-        fusion = _FUSION_SECONDS * self._pace().frames * self.fusion_share if self.fits_fusion else 0.0
-        return 60 * _USED * self._settings.minutes - self.clock.seconds() - fusion
+        fusion = replace(_FUSION, frames=_FUSION.frames * self.fusion_share).at(self._pace())
+        seconds = 60 * _USED * self._settings.minutes - self.clock.seconds()
+        return seconds - fusion if self.fits_fusion else seconds
 
     def _pace(self) -> Seconds:
         """Seconds that finished stages took, over expected ones; before the first, as its views tell."""
