@@ -22,6 +22,7 @@ from scenes.write_scenes import (
     merge,
     quad,
     rounded_box,
+    save_ply,
     sphere,
     textures,
     tube,
@@ -30,18 +31,6 @@ from scenes.write_scenes import (
 
 Points = NDArray[np.float64]
 _SEED = 11
-
-
-def write_ply(path: Path, mesh: Mesh) -> None:
-    """A binary PLY of faces without smooth normals."""
-    names = ("x", "y", "z", "u", "v")
-    rows = np.concatenate([mesh.points, mesh.uvs], axis=1).astype("<f4")
-    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", 3)])
-    faces["count"], faces["index"] = 3, mesh.faces
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
-    lines += [f"property float {name}" for name in names]
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    path.write_bytes("\n".join(lines).encode("ascii") + rows.tobytes() + faces.tobytes())
 
 
 class SceneWriter:
@@ -62,10 +51,11 @@ class SceneWriter:
         self._meshes = 0
 
     def mesh(self, mesh: Mesh, bsdf: str) -> None:
-        """A mesh with a BSDF element."""
+        """A mesh with a BSDF element, and faces without smooth normals."""
         name = f"mesh-{self._meshes}.ply"
         self._meshes += 1
-        write_ply(self.folder / name, mesh)
+        rows = np.concatenate([mesh.points, mesh.uvs], axis=1).astype("<f4")
+        save_ply(self.folder / name, ("x", "y", "z", "u", "v"), rows, mesh.faces)
         self._lines.append(
             f'<shape type="ply"><string name="filename" value="{name}"/>'
             f'<boolean name="face_normals" value="true"/>{bsdf}</shape>'

@@ -240,15 +240,19 @@ def write_ply(path: Path, mesh: Mesh, crease: float = 50.0) -> int:
     columns = [mesh.points[corners], corner_normals(mesh, crease), mesh.uvs[corners]]
     rows = np.round(np.concatenate(columns, axis=1), 5).astype("<f4") + np.float32(0)
     vertices, index = np.unique(rows, axis=0, return_inverse=True)
-    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", 3)])
-    faces["count"], faces["index"] = 3, index.reshape(-1, 3)
-    names = ("x", "y", "z", "nx", "ny", "nz", "u", "v")
+    save_ply(path, ("x", "y", "z", "nx", "ny", "nz", "u", "v"), vertices, index.reshape(-1, 3))
+    return len(mesh.faces)
+
+
+def save_ply(path: Path, names: Sequence[str], vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Write a binary PLY of vertices, rows of float32 with a name for each column, and of their triangles."""
+    faces = np.empty(len(triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    faces["count"], faces["index"] = 3, triangles
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
     header += [f"property float {n}" for n in names]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     text = "\n".join([*header, "end_header"]) + "\n"
     path.write_bytes(text.encode("ascii") + vertices.tobytes() + faces.tobytes())
-    return len(faces)
 
 
 # ---------------------------------------------------------------------------------------------

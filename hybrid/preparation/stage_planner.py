@@ -34,7 +34,7 @@ _SHOWN, _SHOWN_LESS = 0.56, 0.65
 # A stage that would get a smaller share of its time is not begun.
 _LEAST_SHARE = 0.3
 # Shares of its time that a stage may be stretched or shrunk to, the largest first.
-_SHARES = np.geomspace(16.0, _LEAST_SHARE, 200).tolist()
+_SHARES = np.geomspace(16.0, _LEAST_SHARE, 500).tolist()
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
 # Least share of the first stage's views, and how many of them tell how large it can be.

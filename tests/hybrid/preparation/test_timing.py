@@ -64,7 +64,12 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits(before, lon
     assert stretched.steps > stage.steps
     assert stretched.spp > stage.spp
     assert replace(stretched, spp=stage.spp, steps=stage.steps) == stage
-    assert expected_seconds(stretched, before).at(AS_EXPECTED) == pytest.approx(left, rel=0.05)
+    found = expected_seconds(stretched, before).at(AS_EXPECTED)
+    # There is no part of a sample.
+    longer_still = replace(stretched, spp=stretched.spp + 1, steps=round(1.01 * stretched.steps))
+    assert found <= left < expected_seconds(longer_still, before).at(AS_EXPECTED)
+    if before:
+        assert found == pytest.approx(left, rel=0.02)
     following = expected_seconds(STAGES[len(before) + 1], [*before, stage]).at(AS_EXPECTED)
     assert next_stage(before, Needs(), AS_EXPECTED, left + following) == stage
 
@@ -91,7 +96,7 @@ def test_steps_cost_what_a_view_shows():
 
 @pytest.mark.parametrize(
     ("number", "frames", "training"),
-    [(0, 12.3, 11.0), (1, 29.8, 36.9), (2, 65.9, 66.0)],
+    [(0, 12.1, 10.2), (1, 29.8, 36.9), (2, 65.9, 66.0)],
     ids=["first", "second", "third"],
 )
 def test_a_stage_is_expected_to_take_what_it_took(number, frames, training):
@@ -99,7 +104,7 @@ def test_a_stage_is_expected_to_take_what_it_took(number, frames, training):
     stages = [planned_stage(one, Needs(detail=67_800 / STAGES[0].gaussians)) for one in range(number + 1)]
     expected = expected_seconds(stages[-1], stages[:-1])
     assert expected.frames == pytest.approx(frames, rel=0.1)
-    assert expected.training == pytest.approx(training, rel=0.25)
+    assert expected.training == pytest.approx(training, rel=0.2)
 
 
 def test_samples_that_views_have_already_are_not_traced_again():
