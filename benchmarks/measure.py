@@ -20,6 +20,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from benchmarks.hard_scenes import SCENES
+
 DATA = Path(__file__).resolve().parents[1] / "docs" / "measured" / "data"
 STAIRCASE = "staircase2/scene.xml"
 
@@ -30,7 +32,7 @@ class Measurement:
 
     Attributes:
         command: its words. Forests lie in the working folder; STAIRCASE stands for the scene file of
-            staircase2.
+            staircase2, those of `benchmarks.hard_scenes` lie in the working folder as well.
         requires: the measurement that makes its forest.
     """
 
@@ -39,6 +41,7 @@ class Measurement:
 
 
 _FRAMES = "--forest room.forest"
+_PREPARED = "hybrid prepare {0}/scene.xml -o {0}.forest --held-out 4 --minutes 1 --seed 5"
 MEASUREMENTS = {
     "quickstart": Measurement("hybrid quickstart room --out out"),
     "prepare-room": Measurement("hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5"),
@@ -48,6 +51,7 @@ MEASUREMENTS = {
     "prepare-room-moving": Measurement(
         "hybrid prepare room-moving -o moving.forest --held-out 4 --minutes 3 --seed 5"
     ),
+    **{f"prepare-{name}": Measurement(_PREPARED.format(name)) for name in SCENES},
     "frame": Measurement(f"hybrid bench frame room {_FRAMES}", "prepare-room"),
     "resolution": Measurement(f"hybrid sweep room --over resolution --repeats 9 {_FRAMES}", "prepare-room"),
     "radius": Measurement(f"hybrid sweep room --over radius --repeats 5 {_FRAMES}", "prepare-room"),
@@ -123,6 +127,8 @@ def main() -> None:
     if unknown:
         parser.error(f"{unknown[0]}: must be one of {', '.join(MEASUREMENTS)}")
     options.work.mkdir(parents=True, exist_ok=True)
+    for name, write in SCENES.items():
+        write(options.work / name)
     for name in options.names or MEASUREMENTS:
         print(f"{name}: {MEASUREMENTS[name].command}", flush=True)
         measure(name, options.work.resolve(), options.scenes.resolve())

@@ -14,7 +14,7 @@ from compose.image.colour import srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
 from hybrid.preparation.decisions import CONVERGED_DB
 from hybrid.preparation.stages import Stage
-from pathtrace.dataset.frame_error import frame_error, mean_frame_error
+from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.region.neighbourhood import view_time
 from pathtrace.region.viewing_regions import ViewingRegion
@@ -74,7 +74,12 @@ def wanted_of(
 
 def stated_error(frames: GrowingFrames) -> float:
     """PSNR in dB of the frames against the truth, as their samples tell."""
-    return mean_frame_error([frame_error(*frames.halves(number)) for number in _asked(frames)]).psnr_db
+    return mean_frame_error([_error(frames, number) for number in _asked(frames)]).psnr_db
+
+
+def _error(frames: GrowingFrames, number: int) -> FrameError:
+    """What the halves of a frame tell."""
+    return frame_error(*frames.halves(number), frames.radiance(number))
 
 
 def _asked(frames: GrowingFrames) -> list[int]:
@@ -86,7 +91,7 @@ def _asked(frames: GrowingFrames) -> list[int]:
 def _share_left(frames: GrowingFrames) -> float:
     """Squared error of denoised frames over that of what was traced, on average."""
     asked = _asked(frames)
-    errors = [frame_error(*frames.halves(number)).mse for number in asked]
+    errors = [_error(frames, number).mse for number in asked]
     return float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
 
 
