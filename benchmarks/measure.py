@@ -1,6 +1,6 @@
 """Measures the figures of the documentation again and keeps them as JSON; one machine, otherwise idle.
 
-    python -m benchmarks.measure [--scenes FOLDER] [NAME ...]
+    python -m benchmarks.measure [--scenes FOLDER] [--vision FOLDER] [NAME ...]
 
 What was measured by the same code on the same machine is not measured again, so that an interrupted run
 resumes. `python -m benchmarks.tables` then writes the tables.
@@ -22,17 +22,19 @@ from typing import Any
 
 from benchmarks.hard_scenes import SCENES
 
-DATA = Path(__file__).resolve().parents[1] / "docs" / "measured" / "data"
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "docs" / "measured" / "data"
 STAIRCASE = "staircase2/scene.xml"
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A command of `hybrid` whose JSON is kept.
+    """A command whose JSON is kept: `hybrid` or a module of Python.
 
     Attributes:
         command: its words. Forests lie in the working folder; STAIRCASE stands for the scene file of
-            staircase2, those of `benchmarks.hard_scenes` lie in the working folder as well.
+            staircase2, VISION for the folder of data about people's vision; the scenes of
+            `benchmarks.hard_scenes` lie in the working folder as well.
         requires: the measurement that makes its forest.
     """
 
@@ -64,11 +66,15 @@ MEASUREMENTS = {
     "integrator-room": Measurement("hybrid bench integrator room --reference-spp 512"),
     "integrator-staircase2": Measurement("hybrid bench integrator STAIRCASE --reference-spp 512"),
     "raster": Measurement("hybrid bench raster"),
+    "acuity": Measurement("python -m benchmarks.fit_acuity VISION"),
 }
 
 
-def measure(name: str, work: Path, scenes: Path) -> None:
+def measure(name: str, work: Path, places: dict[str, Path]) -> None:
     """Runs a measurement in the working folder, and keeps its JSON with command, date, machine and code.
+
+    Args:
+        places: what words of commands stand for.
 
     Raises:
         CalledProcessError: the command failed.
@@ -85,16 +91,23 @@ def measure(name: str, work: Path, scenes: Path) -> None:
         if all(known[key] == value for key, value in current.items()) and _has_forest(chosen, work):
             return
     if chosen.requires:
-        measure(chosen.requires, work, scenes)
+        measure(chosen.requires, work, places)
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result.json"
-        _, *words = chosen.command.replace("STAIRCASE", str(scenes / STAIRCASE)).split()
+        program, *words = (str(places.get(word, word)) for word in chosen.command.split())
+        if program == "hybrid":
+            words = ["-m", "hybrid.cli.main", *words]
         start = time.perf_counter()
         subprocess.run(
-            [sys.executable, "-m", "hybrid.cli.main", *words, "--json", str(result)],
+            [sys.executable, *words, "--json", str(result)],
             cwd=work,
             # Nothing prepared before is taken; compiled kernels are. The window needs no screen.
-            env={**os.environ, "HYBRID_HOME": str(work / "home"), "QT_QPA_PLATFORM": "offscreen"},
+            env={
+                **os.environ,
+                "HYBRID_HOME": str(work / "home"),
+                "QT_QPA_PLATFORM": "offscreen",
+                "PYTHONPATH": str(ROOT),
+            },
             check=True,
         )
         found: dict[str, Any] = {
@@ -121,6 +134,7 @@ def main() -> None:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
     parser.add_argument("--scenes", type=Path, default=Path("../shared/scenes"), help="where staircase2 lies")
+    parser.add_argument("--vision", type=Path, default=Path("../shared/data"), help="data of people's vision")
     parser.add_argument("--work", type=Path, default=Path("out/measure"), help="working folder")
     options = parser.parse_args()
     unknown = [name for name in options.names if name not in MEASUREMENTS]
@@ -129,9 +143,10 @@ def main() -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     for name, write in SCENES.items():
         write(options.work / name)
+    places = {"STAIRCASE": options.scenes.resolve() / STAIRCASE, "VISION": options.vision.resolve()}
     for name in options.names or MEASUREMENTS:
         print(f"{name}: {MEASUREMENTS[name].command}", flush=True)
-        measure(name, options.work.resolve(), options.scenes.resolve())
+        measure(name, options.work.resolve(), places)
 
 
 if __name__ == "__main__":

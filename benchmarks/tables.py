@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hard_scenes import SCENES
+from compose.eye.acuity import DEFAULT_ACUITY_MODEL
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "measured" / "data"
@@ -261,6 +262,21 @@ def frames(name: str = "frame") -> str:
     return _with_provenance(markdown(header, rows), name)
 
 
+def acuity() -> str:
+    """Cut-offs of the acuity models, and how far they are from people's."""
+    found = result("acuity")
+    rows = []
+    for name, model in found["models"].items():
+        cutoffs = (f"{found['cutoffs'][name][place]:.1f}" for place in range(5))
+        means = (f"{mean:+.2f}" for mean in model["means"])
+        rows.append([f"`{name}`", *cutoffs, *means, f"{model['rms']:.2f}"])
+    header = ["acuity model", *(f"{10 * place} degrees" for place in range(5))]
+    header += [*(f"error at {10 * place}" for place in range(3)), "rms"]
+    rms = found["left_one_out"]["rms"]
+    left_out = f"Each person against `resolution-limit` fitted to all others: {rms:.3f} octaves."
+    return _with_provenance(f"{markdown(header, rows)}\n\n{left_out}", "acuity")
+
+
 def raster() -> str:
     """The rasterizer and its gradient alone."""
     found = result("raster")
@@ -358,10 +374,10 @@ def _prepared() -> tuple[str, str]:
 
 
 def _periphery() -> tuple[str, str]:
-    row = next(row for row in result("periphery") if row["acuity_model"] == "geisler-perry")
+    row = next(row for row in result("periphery") if row["acuity_model"] == DEFAULT_ACUITY_MODEL)
     quality = "" if row["jod"] is None else f" ({row['jod']:.2f} JOD)"
     full, ours = (f"{row[name]['p50']:.0f} ms" for name in ("full_ms", "periphery_ms"))
-    text = f"{full} at full detail, {ours}{quality} with `geisler-perry`"
+    text = f"{full} at full detail, {ours}{quality} with `{DEFAULT_ACUITY_MODEL}`"
     return f"periphery of `room`, {row['width']}x{row['height']} across 55 degrees, camera still", text
 
 
@@ -406,7 +422,7 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
 )
 _MADE = (
     *(headlines, quickstart, prepare, hard_scenes, resolution, radius, denoiser),
-    *(evaluation, integrators, periphery, frames, raster, window),
+    *(evaluation, integrators, periphery, acuity, frames, raster, window),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,17 @@ from compose.base.errors import UserError
 
 Array = NDArray[np.float64]
 
-# Models of frames that must look right, and that must be quick, as compared in docs/measured.
-DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL = "fovvideovdp", "geisler-perry"
+# The fastest model of which FovVideoVDP notices less than 0.1 JOD, as compared in docs/measured.
+DEFAULT_ACUITY_MODEL = "fovvideovdp"
 COARSEST_RATE = 4  # log2 of pixels per sample along each axis
 # How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
 _SALIENCY_GAIN = 0.4
 # Cycles per degree. Beyond some 45 degrees stelaCSF finds nothing visible at all; the cut-off stays at this.
 _LOWEST_CUTOFF = 0.5
+# Of `limit_sensitivity`; and of `resolution_limit`, the standard deviation over people in octaves in the
+# fovea, what it grows per degree, and up to how many degrees.
+_LIMIT = (1.0268, 0.0064992, 0.0316258, 0.721685, 29.0309)
+_LIMIT_SPREAD = (0.181, 0.0191, 20.0)
 
 
 @dataclass(frozen=True)
@@ -75,37 +80,92 @@ def stelacsf(eccentricity: Array) -> Array:
 
     For a static patch of one square degree at 100 cd/m2, in the temporal visual field.
     """
-    eccentricities, cutoffs = _stelacsf_table()
+    return _where_visible(_stelacsf_sensitivity, eccentricity)
+
+
+def resolution_limit(eccentricity: Array, observers: float = 0.5) -> Array:
+    """Cut-off in cycles per degree, 0.5 to 64, at which a share of observers no longer sees a grating.
+
+    Fitted to people (`limit_sensitivity`); the logarithm of their cut-offs is normally distributed, and
+    spreads with eccentricity up to 20 degrees, beyond which it was not measured.
+
+    Args:
+        observers: share of people who resolve no more, over 0 and under 1.
+    """
+    eccentricity = np.asarray(eccentricity, dtype=np.float64)
+    foveal, per_degree, farthest = _LIMIT_SPREAD
+    spread = foveal + per_degree * np.minimum(eccentricity, farthest)
+    beyond = np.exp2(NormalDist().inv_cdf(observers) * spread)
+    return np.maximum(_where_visible(limit_sensitivity, eccentricity) * beyond, _LOWEST_CUTOFF)
+
+
+def _where_visible(sensitivity: Callable[[Array, Array], Array], eccentricity: Array) -> Array:
+    """Frequency in cycles per degree at which a contrast sensitivity falls to 1; 0.5 to 64."""
+    eccentricities, cutoffs = _cutoff_table(sensitivity)
     return np.exp(np.interp(eccentricity, eccentricities, np.log(cutoffs)))
 
 
 @cache
-def _stelacsf_table() -> tuple[Array, Array]:
+def _cutoff_table(sensitivity: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
     """Eccentricities (481,) in degrees, and the frequencies (481,) at which the sensitivity falls to 1."""
     eccentricities = np.linspace(0, 120, 481)
     frequencies = np.exp2(np.linspace(-4, 6, 2001))
     # At every eccentricity the sensitivity falls with frequency beyond its peak.
-    visible = _stelacsf_sensitivity(frequencies[None, :], eccentricities[:, None]) >= 1
+    visible = sensitivity(frequencies[None, :], eccentricities[:, None]) >= 1
     last = visible.shape[1] - 1 - np.argmax(visible[:, ::-1], axis=1)
     cutoff = np.where(visible.any(axis=1), frequencies[last], _LOWEST_CUTOFF)
     return eccentricities, np.maximum(cutoff, _LOWEST_CUTOFF)
 
 
 def _stelacsf_sensitivity(frequency: Array, eccentricity: Array) -> Array:
-    """Contrast sensitivity of the sustained channel at 0 Hz, 100 cd/m2, 1 square degree.
+    """Contrast sensitivity of the sustained channel at 0 Hz, 100 cd/m2, 1 square degree."""
+    foveal = _foveal_sensitivity(frequency, 100.0, 1.0)
+    return foveal * 10 ** (-(0.0269434 + 0.0200995 * frequency) * eccentricity)
+
+
+def limit_sensitivity(
+    frequency: Array,
+    eccentricity: Array,
+    luminance: Array | float = 100.0,
+    area: Array | float = np.pi,
+    parameters: tuple[float, ...] | None = None,
+) -> Array:
+    """Contrast sensitivity to static gratings, fitted to people.
+
+    In the fovea it is that of stelaCSF, less what the optics and receptors take of high frequencies: the
+    square of the frequency in the exponent. With eccentricity e its logarithm falls by (a + b f^c) e. The
+    parameters are fitted by `python -m benchmarks.fit_acuity` to the finest gratings that 18 people saw at 0,
+    10 and 20 degrees (Ashraf, Chapiro and Mantiuk 2025) and to the achromatic points of castleCSF (Ashraf et
+    al. 2024) up to 1 Hz, out to 30 degrees, each study with a factor of its own. The gain is that of the
+    finest gratings; the other studies' is a tenth of it. Luminance matters little: at 10 and 1,000 cd/m2 the
+    cut-off is 5 % lower and 1 % higher.
+
+    Args:
+        frequency: in cycles per degree, over 0.
+        eccentricity: in degrees.
+        luminance: in cd/m2.
+        area: of the grating in square degrees.
+        parameters: log10 of the gain, a, b, c, and the frequency in cycles per degree whose sensitivity the
+            optics divide by 10; as fitted if None.
+    """
+    gain, constant, slope, power, optics = parameters or _LIMIT
+    falls = (constant + slope * frequency**power) * eccentricity + (frequency / optics) ** 2
+    return _foveal_sensitivity(frequency, luminance, area) * 10 ** (gain - falls)
+
+
+def _foveal_sensitivity(frequency: Array, luminance: Array | float, area: Array | float) -> Array:
+    """Contrast sensitivity of stelaCSF's sustained channel at 0 Hz and 0 degrees.
 
     The formula is that of the paper (section 4), the constants are those its authors fitted on 2022-01-26.
     The transient channel does not respond to a static image.
     """
-    luminance, area = 100.0, 1.0
     peak = 65.4012 * (1 + 29.8305 / luminance) ** -0.20376
-    peak *= 1 - (1 + 7.63446e-07 / luminance) ** -6.93565e09
+    peak = peak * (1 - (1 + 7.63446e-07 / luminance) ** -6.93565e09)
     best = 1.56511 * (1 + 51.1941 / luminance) ** -0.245
     parabola = 10 ** (-((np.log10(frequency) - np.log10(best)) ** 2) / 2**1.12573)
     parabola = np.where(frequency < best, np.maximum(parabola, 1 - 0.0835553), parabola)
     critical = 270 / (1 + (frequency / 0.65) ** 2)
-    foveal = peak * parabola * np.sqrt(critical / (1 + critical / area)) * frequency
-    return foveal * 10 ** (-(0.0269434 + 0.0200995 * frequency) * eccentricity)
+    return peak * parabola * np.sqrt(critical / (1 + critical / area)) * frequency
 
 
 def unlimited(eccentricity: Array) -> Array:
@@ -118,6 +178,8 @@ ACUITY_MODELS = {
     "stelacsf": AcuityModel(stelacsf),
     "geisler-perry": AcuityModel(geisler_perry),
     "fovvideovdp": AcuityModel(fovvideovdp),
+    "resolution-limit": AcuityModel(resolution_limit),
+    "resolution-limit-95": AcuityModel(partial(resolution_limit, observers=0.95)),
     "none": AcuityModel(unlimited),
 }
 

@@ -26,10 +26,10 @@ _COLUMNS = ["seconds", "x", "y"]
 _MOST_BYTES = 1 << 26
 # Samples per second of a simulated viewer, as by a typical eye tracker.
 _RATE = 120.0
-# Fixations last 0.2 to 0.5 seconds, saccades span a few degrees, rarely over 15 (Land and Hayhoe 2001;
-# Bahill, Adler and Stark 1975). Median in seconds, spread of the logarithm; mean and maximum in degrees.
-_FIXATION, _FIXATION_SPREAD = 0.33, 0.4
-_AMPLITUDE, _MOST_AMPLITUDE = 5.0, 15.0
+# Fixations and saccades of five people in scenes of Gaussians (EyeNavGS, Ding et al. 2025): median in seconds
+# and spread of the logarithm; median in degrees, spread of the logarithm, and maximum.
+_FIXATION, _FIXATION_SPREAD = 0.263, 0.52
+_AMPLITUDE, _AMPLITUDE_SPREAD, _MOST_AMPLITUDE = 8.4, 0.65, 35.0
 # Seconds that every saccade takes, and further seconds per degree (Carpenter 1988).
 _SACCADE, _SACCADE_PER_DEGREE = 0.021, 0.0022
 # Margin of the frame in which the viewer never fixates, in fractions of its sides.
@@ -199,7 +199,7 @@ def _next(
 ) -> tuple[np.ndarray, float]:
     """Target (2,) of a saccade in pixels, and its amplitude in degrees."""
     for _ in range(_TRIES):
-        degrees = min(float(rng.exponential(_AMPLITUDE)), _MOST_AMPLITUDE)
+        degrees = min(_AMPLITUDE * float(np.exp(rng.normal(0, _AMPLITUDE_SPREAD))), _MOST_AMPLITUDE)
         turn = rng.uniform(0, 2 * np.pi)
         there = here + degrees * display.pixels_per_degree * np.array([np.cos(turn), np.sin(turn)])
         if (there > _MARGIN * size).all() and (there < (1 - _MARGIN) * size).all():

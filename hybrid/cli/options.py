@@ -103,7 +103,8 @@ AcuityModelName = Annotated[
     str,
     viewer(
         "--acuity-model",
-        help="What the eye resolves: fovvideovdp, geisler-perry, stelacsf, fov-gs, or none for full detail.",
+        help="What the eye resolves: fovvideovdp, geisler-perry, resolution-limit, resolution-limit-95, "
+        "stelacsf, fov-gs, or none for full detail.",
     ),
 ]
 DisplayName = Annotated[

@@ -10,7 +10,7 @@ import numpy as np
 
 from compose.base.traced_samples import DIFFUSE, SPECULAR
 from compose.camera.camera import Camera
-from compose.eye.acuity import ACUITY_MODELS, DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL
+from compose.eye.acuity import ACUITY_MODELS, DEFAULT_ACUITY_MODEL
 from compose.eye.detail import LayerRange, detail_map
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
@@ -139,25 +139,20 @@ _NYQUIST = 0.5
 def layers_decision(display: Display, size: tuple[int, int]) -> Decision:
     """Layers that any gaze draws on a frame of a width and height in pixels, shown on a display.
 
-    By the acuity models of single frames and of the window.
+    By the acuity model that frames have unless told otherwise.
     """
-    drawn = {model: _coarsest(display, size, model) for model in (DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL)}
-    layers = FIXED_LAYERS - min(drawn.values()) + 1
-    evidence = {
-        "pixels_per_degree": display.pixels_per_degree,
-        "least_side": min(size),
-        "layers_by_model": {model: FIXED_LAYERS - coarsest + 1 for model, coarsest in drawn.items()},
-    }
+    layers = FIXED_LAYERS - _coarsest(display, size) + 1
+    evidence = {"pixels_per_degree": display.pixels_per_degree, "least_side": min(size)}
     total = [sum(_COARSER**step for step in range(count)) for count in (FIXED_LAYERS, layers)]
     return Decision(LAYERS, layers, FIXED_LAYERS, evidence, total[0] / total[1], "Gaussians in all layers")
 
 
-def _coarsest(display: Display, size: tuple[int, int], model: str) -> int:
+def _coarsest(display: Display, size: tuple[int, int]) -> int:
     """Number of the coarsest of FIXED_LAYERS layers that is drawn."""
     layers = LayerRange(_NYQUIST, (0,) * FIXED_LAYERS)
     found = FIXED_LAYERS
     for gaze in _GAZES:
-        detail = detail_map(display, gaze, *size, ACUITY_MODELS[model], _FOV_B, layers)
+        detail = detail_map(display, gaze, *size, ACUITY_MODELS[DEFAULT_ACUITY_MODEL], _FOV_B, layers)
         shown = [step.layer for number, step in enumerate(detail.steps) if (detail.weight(number) > 0).any()]
         found = min(found, *shown)
     return found

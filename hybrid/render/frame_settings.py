@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from compose.eye.acuity import COARSEST_RATE, DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL, acuity_model_named
+from compose.eye.acuity import COARSEST_RATE, DEFAULT_ACUITY_MODEL, acuity_model_named
 from compose.eye.display import DISPLAYS, Display, display_named
 from compose.eye.gaze import FURTHEST, Gaze
 from compose.fovea.foveation import FoveaMode, Foveation
@@ -198,7 +198,7 @@ class FrameSettings:
 # The defaults of single frames and, below, of other uses.
 DEFAULTS = FrameSettings()
 # The window: a small disc at the lowest sample count, because samples add up while nothing moves.
-INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1, acuity_model=QUICK_ACUITY_MODEL)
+INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1)
 # An evaluation compares methods where samples are scarce.
 EVALUATION = FrameSettings(spp=1)
 # A sweep times what Foveated Path Culling times: samples without denoising, in the disc alone.

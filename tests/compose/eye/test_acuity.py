@@ -9,7 +9,6 @@ from compose.base.errors import UserError
 from compose.eye.acuity import (
     ACUITY_MODELS,
     DEFAULT_ACUITY_MODEL,
-    QUICK_ACUITY_MODEL,
     acuity_model_named,
     fov_gs,
     geisler_perry,
@@ -74,11 +73,9 @@ def test_saliency_raises_the_cutoff_by_up_to_two_fifths():
 def test_models_by_name():
     assert acuity_model_named("fov-gs").relative
     assert not acuity_model_named("geisler-perry").relative
-    assert {DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL} <= set(ACUITY_MODELS)
+    assert DEFAULT_ACUITY_MODEL in ACUITY_MODELS
 
 
 def test_an_unknown_model_is_refused_by_name():
-    with pytest.raises(
-        UserError, match=r"^acuity model blur: must be fov-gs, stelacsf, geisler-perry, fovvideovdp, none$"
-    ):
+    with pytest.raises(UserError, match=r"^acuity model blur: must be fov-gs, .*, none$"):
         acuity_model_named("blur")

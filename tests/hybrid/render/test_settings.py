@@ -50,7 +50,7 @@ def test_the_defaults_are_those_of_a_single_frame():
 @pytest.mark.parametrize(
     ("preset", "changed"),
     [
-        (INTERACTIVE, {"fov_a": 15.0, "fov_b": 11.25, "spp": 1, "acuity_model": "geisler-perry"}),
+        (INTERACTIVE, {"fov_a": 15.0, "fov_b": 11.25, "spp": 1}),
         (EVALUATION, {"spp": 1}),
         (SWEEP, {"spp": 1, "fovea": FoveaMode.RAW, "fill": False}),
     ],

@@ -14,7 +14,7 @@ def test_the_first_frame_has_no_interval_yet():
         "trace 20 splat 10 total 30 ms",
         "6,789 paths, 12,345 Gaussians",
         "2.5 samples per pixel in the disc",
-        "fov-a 15.0 %, fov-b 11.2 %, 1 spp, 320 x 240, geisler-perry",
+        "fov-a 15.0 %, fov-b 11.2 %, 1 spp, 320 x 240, fovvideovdp",
     ]
 
 
