@@ -95,7 +95,7 @@ class Stage:
 STAGES = (
     Stage(views=32, scale=1, spp=8, gaussians=40_000, steps=150),
     # Displays show whole views in more pixels than the first frames: those of `room` at 512 x 512 gain 3 dB.
-    Stage(views=16, scale=2, spp=12, gaussians=47_000, steps=450),
+    Stage(views=16, scale=2, spp=10, gaussians=47_000, steps=350),
     Stage(views=16, scale=2, spp=32, gaussians=54_000, steps=800),
     Stage(views=40, scale=2, spp=32, gaussians=74_000, steps=1000),
     Stage(views=60, scale=4, spp=64, gaussians=107_000, steps=1300),
