@@ -65,11 +65,9 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits(before, lon
     assert stretched.spp > stage.spp
     assert replace(stretched, spp=stage.spp, steps=stage.steps) == stage
     found = expected_seconds(stretched, before).at(AS_EXPECTED)
-    # There is no part of a sample.
+    # There is no part of a sample; what that leaves of the time, steps take when their pace is known.
     longer_still = replace(stretched, spp=stretched.spp + 1, steps=round(1.01 * stretched.steps))
     assert found <= left < expected_seconds(longer_still, before).at(AS_EXPECTED)
-    if before:
-        assert found == pytest.approx(left, rel=0.02)
     following = expected_seconds(STAGES[len(before) + 1], [*before, stage]).at(AS_EXPECTED)
     assert next_stage(before, Needs(), AS_EXPECTED, left + following) == stage
 
@@ -96,7 +94,7 @@ def test_steps_cost_what_a_view_shows():
 
 @pytest.mark.parametrize(
     ("number", "frames", "training"),
-    [(0, 12.1, 10.2), (1, 29.8, 36.9), (2, 65.9, 66.0)],
+    [(0, 12.1, 10.2), (1, 26.9, 27.2), (2, 65.9, 66.0)],
     ids=["first", "second", "third"],
 )
 def test_a_stage_is_expected_to_take_what_it_took(number, frames, training):
