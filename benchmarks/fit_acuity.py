@@ -97,9 +97,15 @@ def load_sensitivities(folder: Path) -> Sensitivities:
     ]
     names = sorted({row["dataset"] for row in rows})
     study = np.array([names.index(row["dataset"]) for row in rows])
-    columns = ("s_frequency_cpd", "eccentricity_deg", "luminance_cd_m2", "area_deg2")
-    sensitivity = np.log10(_column(rows, "sensitivity"))
-    return Sensitivities(*(_column(rows, name) for name in columns), sensitivity, study, names)
+    return Sensitivities(
+        _column(rows, "s_frequency_cpd"),
+        _column(rows, "eccentricity_deg"),
+        _column(rows, "luminance_cd_m2"),
+        _column(rows, "area_deg2"),
+        np.log10(_column(rows, "sensitivity")),
+        study,
+        names,
+    )
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

@@ -129,6 +129,8 @@ def _has_forest(chosen: Measurement, work: Path) -> bool:
 
 def main() -> None:
     """Measures what is named, or everything."""
+    from hybrid.base.identity import code
+
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -140,13 +142,15 @@ def main() -> None:
     unknown = [name for name in options.names if name not in MEASUREMENTS]
     if unknown:
         parser.error(f"{unknown[0]}: must be one of {', '.join(MEASUREMENTS)}")
-    options.work.mkdir(parents=True, exist_ok=True)
+    # What other code prepared is not gone on with.
+    work = (options.work / code()["source"]).resolve()
+    work.mkdir(parents=True, exist_ok=True)
     for name, write in SCENES.items():
-        write(options.work / name)
+        write(work / name)
     places = {"STAIRCASE": options.scenes.resolve() / STAIRCASE, "VISION": options.vision.resolve()}
     for name in options.names or MEASUREMENTS:
         print(f"{name}: {MEASUREMENTS[name].command}", flush=True)
-        measure(name, options.work.resolve(), places)
+        measure(name, work, places)
 
 
 if __name__ == "__main__":

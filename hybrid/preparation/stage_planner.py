@@ -31,8 +31,8 @@ _TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT, _SEEDED = 3.0e-6, 0.36e-6, 0.7e-6, 
 _STEP, _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 0.013, 18_000, 2.0
 # Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
 _SHOWN, _SHOWN_LESS = 0.56, 0.65
-# A stage that would get a smaller share of its time is not begun.
-_LEAST_SHARE = 0.3
+# The least shares of its time that a stage is left and that it is begun with: others may take longer.
+_LEFT_SHARE, _LEAST_SHARE = 0.5, 0.3
 # Shares of its time that a stage may be stretched or shrunk to, the largest first.
 _SHARES = np.geomspace(16.0, _LEAST_SHARE, 500).tolist()
 # Least share of a stage's steps that are trained once its frames are there.
@@ -79,18 +79,22 @@ def step_seconds(stage: Stage) -> float:
 def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float | None) -> Stage | None:
     """The stage to do next; None if there is no time for one.
 
-    If there will be no time for another one, it is stretched over all of the time, or shrunk into it. `left`
-    is in seconds; None if time does not matter.
+    If there will be no time for another one, it is stretched over all of the time, or shrunk into it. Where
+    there is too little time for it, the last stage goes on, with more samples and steps. `left` is in
+    seconds; None if time does not matter.
     """
     stage = planned_stage(len(before), needs)
     if left is None:
         return stage
-    following = planned_stage(len(before) + 1, needs).in_time(_LEAST_SHARE)
+    following = planned_stage(len(before) + 1, needs).in_time(_LEFT_SHARE)
     both = expected_seconds(stage, before).at(pace) + expected_seconds(following, [*before, stage]).at(pace)
     if both <= left:
         return stage
     possible = [stage.in_time(share) for share in _SHARES if before or share >= 1]
-    if not before:
+    if before:
+        goes_on = replace(before[-1], views=0)
+        possible += [goes_on.in_time(share) for share in _SHARES]
+    else:
         possible += [replace(stage, spp=spp) for spp in range(stage.spp, LEAST_SPP - 1, -1)]
     fitting = next((one for one in possible if expected_seconds(one, before).at(pace) <= left), None)
     return fitting or (None if before else _least_first(possible[-1], pace, left))

@@ -72,6 +72,19 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits(before, lon
     assert next_stage(before, Needs(), AS_EXPECTED, left + following) == stage
 
 
+def test_where_no_further_stage_fits_the_last_one_goes_on():
+    (last,) = BEFORE
+    goes_on = next_stage(BEFORE, Needs(), AS_EXPECTED, 0.25 * SECONDS)
+    assert goes_on is not None
+    assert replace(goes_on, views=last.views, spp=last.spp, steps=last.steps) == last
+    assert (goes_on.views, goes_on.steps > last.steps, goes_on.spp >= last.spp) == (0, True, True)
+    found = expected_seconds(goes_on, BEFORE).at(AS_EXPECTED)
+    assert 0.2 * SECONDS < found <= 0.25 * SECONDS
+    less = next_stage(BEFORE, Needs(), AS_EXPECTED, 0.1 * SECONDS)
+    assert less is not None
+    assert (less.views, less.spp, less.steps < last.steps) == (0, last.spp, True)
+
+
 def test_where_frames_take_longer_than_expected_there_are_fewer_and_fewer_steps():
     """Further samples of earlier views take as long however short the stage is."""
     slow = Seconds(3.0, 1.0)
