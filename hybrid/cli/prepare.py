@@ -71,7 +71,8 @@ def prepare(
         shutil.copyfile(facts["forest"], forest)
         facts = {**facts, "forest": str(forest)}
     o.write_json(json_file, facts)
+    limit = "" if facts["limit"] is None else f"; limited by {facts['limit']}"
     print(
         f"{facts['gaussians']:,} Gaussians from {facts['views']} views, whose frames have "
-        f"{facts['frame_error_db']:.1f} dB, in {facts['seconds']:.0f} s"
+        f"{facts['frame_error_db']:.1f} dB, in {facts['seconds']:.0f} s{limit}"
     )

@@ -26,8 +26,10 @@ from hybrid.preparation.stage_frames import (
     Pass,
     clamping_bias,
     converging_seconds,
+    limit_of,
     stage_views,
     stated_error,
+    trained_psnr,
     wanted_of,
 )
 from hybrid.preparation.stage_planner import PROBED, JobClock, Planner
@@ -133,11 +135,18 @@ class _Job:
         assert forest is not None
         forest = self._with_fusion(forest)
         store_forest(forest, self.folder.name)
-        facts = self._facts(forest, frames)
+        facts = {**self._facts(forest, frames), **self._limit(forest, frames)}
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
         self._say_converging(facts)
         self._require_target(facts)
         return Prepared(forest, facts)
+
+    def _limit(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
+        """PSNR in training frames, and what limits the quality; the latter is None without held-out views."""
+        with self.planner.clock.stopped():
+            trained, held_out = trained_psnr(frames, forest), self.curve[-1].get("psnr")
+        limit = None if held_out is None else limit_of(self.passes[-1].error_db, trained, held_out)
+        return {"trained_psnr": trained, "limit": limit}
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""

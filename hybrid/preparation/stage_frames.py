@@ -12,7 +12,8 @@ import numpy as np
 from compose.camera.camera import Camera
 from compose.image.colour import srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation.decisions import CONVERGED_DB
+from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
+from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
@@ -103,11 +104,37 @@ def _noise(frames: GrowingFrames, number: int) -> float:
 
 def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer, share: float) -> bool:
     """Whether a frame's own error is a noticeable part of its difference from the forest."""
-    frame = frames.radiance(number)
+    return share * _noise(frames, number) > _WORTHWHILE * _difference(frames, number, renderer)
+
+
+def _difference(frames: GrowingFrames, number: int, renderer: ForestRenderer) -> float:
+    """Squared difference of a forest from a frame, in sRGB values."""
     renderer.set_time(frames.time(number))
     shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).numpy()
-    difference = float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frame)) ** 2))
-    return share * _noise(frames, number) > _WORTHWHILE * difference
+    return float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frames.radiance(number))) ** 2))
+
+
+def trained_psnr(frames: GrowingFrames, forest: Forest) -> float:
+    """PSNR in dB of a forest in the frames that it was trained on."""
+    renderer = ForestRenderer(device_arrays(), forest)
+    mean = float(np.mean([_difference(frames, number, renderer) for number in _asked(frames)]))
+    return -10 * math.log10(max(mean, 1e-12))
+
+
+VIEWS = "views"
+
+
+def limit_of(frames_db: float, trained_db: float, held_out_db: float) -> str:
+    """What limits the quality of a forest most, by squared errors: SAMPLES, VIEWS, or GAUSSIANS.
+
+    Frames lack samples by their own error; Gaussians, and steps to train them, are lacking by what a forest
+    gets wrong in frames besides; views, by what it gets wrong elsewhere besides that. Arguments are PSNRs in
+    dB: of the frames as they state it, of the forest in frames that it was trained on, and of the forest in
+    held-out views.
+    """
+    of_frames, trained, held_out = (10 ** (-db / 10) for db in (frames_db, trained_db, held_out_db))
+    shares = {SAMPLES: of_frames, GAUSSIANS: trained - of_frames, VIEWS: held_out - trained}
+    return max(shares, key=lambda name: shares[name])
 
 
 # What doubling the samples of a denoised frame gains at least and at most, in dB; it was 1.0 (caustics) to

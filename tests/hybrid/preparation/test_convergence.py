@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.preparation.decisions import CONVERGED_DB
-from hybrid.preparation.stage_frames import Pass, converging_seconds
+from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
+from hybrid.preparation.gaussian_count import GAUSSIANS
+from hybrid.preparation.stage_frames import VIEWS, Pass, converging_seconds, limit_of
 from tests.extremes import extreme
 
 
@@ -37,3 +38,20 @@ def test_frames_that_hardly_gain_take_long_but_not_forever():
 def test_no_time_is_named_where_none_is_known(passes, got):
     assert converging_seconds(passes) is None
     got("no time")
+
+
+@pytest.mark.parametrize(
+    ("frames", "trained", "held_out", "limit"),
+    [
+        # Squared errors of 1, 1.5 and 2: of the latter, half is the frames' own.
+        (30.0, 28.24, 26.99, SAMPLES),
+        # 0.1, 1 and 1.5.
+        (40.0, 30.0, 28.24, GAUSSIANS),
+        # 0.1, 0.2 and 1.
+        (40.0, 36.99, 30.0, VIEWS),
+        # The noise that frames do not share is smaller in the forest than in them.
+        (28.4, 29.5, 27.3, SAMPLES),
+    ],
+)
+def test_the_largest_part_of_the_squared_error_limits(frames, trained, held_out, limit):
+    assert limit_of(frames, trained, held_out) == limit

@@ -15,6 +15,7 @@ from hybrid.preparation import stage_planner as planner
 from hybrid.preparation.decisions import REGION, SAMPLES
 from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS
 from hybrid.preparation.preparation import prepare
+from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings
 from hybrid.render.forest_attachments import plan_of_forest
 from pathtrace.dataset.captured_frames import read_frame
@@ -61,6 +62,8 @@ def test_from_nothing_to_a_forest(whole):
     assert facts["splat"] == {name: facts["curve"][-1][name] for name in ("psnr", "ssim", "least_psnr")}
     assert facts["curve"][0]["psnr"] < facts["curve"][1]["psnr"]
     assert 10 < facts["frame_error_db"] < 60
+    assert 10 < facts["trained_psnr"] < 60
+    assert facts["limit"] in (SAMPLES, VIEWS, GAUSSIANS)
     assert len(read_frame_set(folder / "frames").training) == 6
     assert newest is not None
     assert len(read_frame_set(folder / "fusion").held_out) == 3
