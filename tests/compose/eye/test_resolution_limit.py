@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from benchmarks import fit_acuity
 from compose.eye import acuity
 from compose.eye.acuity import ACUITY_MODELS, limit_sensitivity, resolution_limit
+from tests.conftest import REAL_DATA
 
-_DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
+_DATA = REAL_DATA / "data"
 of_people = pytest.mark.skipif(not _DATA.is_dir(), reason="no data of people's vision beside the project")
 
 
