@@ -225,8 +225,9 @@ class Planner:
         if number:
             left -= pace.training * stage.gaussians * _BUILT
         possible = int(left / seconds)
-        # No more than planned where the time that they leave is of use.
-        if next_stage(self.stages, self._needs, pace, left - seconds * stage.steps) is not None:
+        # No more than planned where the time that they leave is of use to further views.
+        following = next_stage(self.stages, self._needs, pace, left - seconds * stage.steps)
+        if following is not None and following.views:
             possible = min(possible, stage.steps)
         self.journal[f"steps {number}"] = steps = max(possible, _least_steps(stage))
         self.journal[f"paced {number}"] = seconds

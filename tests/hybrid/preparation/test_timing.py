@@ -169,3 +169,13 @@ def test_the_first_steps_tell_how_many_fit(tmp_path, seconds, least, most):
     assert least <= found <= most
     assert planner.steps() == found
     assert planner.paced is None
+
+
+def test_steps_are_not_saved_for_a_stage_that_only_goes_on(tmp_path):
+    """Of 17 seconds, 6 are planned; 11 are too few for further views."""
+    planner = begun(tmp_path / "job", 1.0, 41.0)
+    goes_on = next_stage(planner.stages, Needs(), AS_EXPECTED, 11.0)
+    assert goes_on is not None
+    assert goes_on.views == 0
+    assert planner.paced is not None
+    assert 400 <= planner.paced(0.04) <= 430
