@@ -22,6 +22,10 @@ FURTHEST = 1000
 # Longest trace in seconds: a day.
 MOST_SECONDS = 86_400.0
 _COLUMNS = ["seconds", "x", "y"]
+# As eye trackers of headsets give it.
+_COLUMNS_OF_ANGLES = ["time_s", "gaze_x_deg", "gaze_y_deg"]
+# Degrees from the line of sight straight ahead, within which a plane is seen.
+_MOST_DEGREES = 89.0
 # Some 40 minutes at 1,000 gazes per second.
 _MOST_BYTES = 1 << 26
 # Samples per second of a simulated viewer, as by a typical eye tracker.
@@ -99,6 +103,10 @@ class GazeTrace:
         """16 hexadecimal digits, the same for equal traces only."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
+    def on(self, display: Display, width: int, height: int) -> GazeTrace:
+        """The trace itself: it is of whatever frame it is used with."""
+        return self
+
     def save(self, path: Path) -> None:
         """Writes a CSV file with the columns seconds, x, y."""
         rows = zip(self.seconds, self.gazes, strict=True)
@@ -107,22 +115,44 @@ class GazeTrace:
         write_whole(path, lambda part: part.write_text(text))
 
 
-def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace:
-    """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
+@dataclass(frozen=True)
+class AngularTrace:
+    """A viewer's gaze at each of some times, ascending from 0, in degrees right and up of straight ahead.
+
+    Both are angles of a plane that is seen: arc tangents of offsets in it over its distance.
+    """
+
+    seconds: tuple[float, ...]
+    degrees: tuple[tuple[float, float], ...]
+
+    def on(self, display: Display, width: int, height: int) -> GazeTrace:
+        """The trace on a frame of a width and height in pixels, shown around the display's centre."""
+        right, up = display.focal * np.tan(np.radians(self.degrees)).T
+        places = zip((0.5 + right / width).tolist(), (0.5 - up / height).tolist(), strict=True)
+        return GazeTrace(self.seconds, tuple(Gaze(x, y) for x, y in places))
+
+
+def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace | AngularTrace:
+    """A trace from a CSV file; time 0 is that of the first row.
+
+    Its columns are seconds, x, y, or time_s, gaze_x_deg, gaze_y_deg and further ones.
 
     UserError if the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
     backwards, or the trace lasts longer than `most_seconds`.
     """
     seconds: list[float] = []
-    gazes: list[Gaze] = []
+    gazes: list[tuple[float, float]] = []
     try:
         require_size_below(path, _MOST_BYTES)
         with path.open(newline="") as file:
             rows = csv.reader(file)
-            if [name.strip() for name in next(rows, [])] != _COLUMNS:
-                raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
+            names = [name.strip() for name in next(rows, [])]
+            in_degrees = names[:3] == _COLUMNS_OF_ANGLES
+            if names != _COLUMNS and not in_degrees:
+                known = f"{','.join(_COLUMNS)} or {','.join(_COLUMNS_OF_ANGLES)}"
+                raise UserError(f"{path}: is not a gaze trace; its first line must be {known}")
             for number, row in enumerate(rows, 2):
-                second, gaze = _parsed(path, number, row)
+                second, gaze = _parsed(path, number, row[: len(_COLUMNS)] if in_degrees else row, in_degrees)
                 time = f"{path}: line {number}: time {row[0].strip()[:40]}"
                 if not np.isfinite(second) or (seconds and second < seconds[-1]):
                     raise UserError(f"{time} must be a number, not before the line above")
@@ -135,16 +165,26 @@ def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace
         raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
     if not seconds:
         raise UserError(f"{path}: contains no gaze")
-    return GazeTrace(tuple(second - seconds[0] for second in seconds), tuple(gazes))
+    times = tuple(second - seconds[0] for second in seconds)
+    if in_degrees:
+        return AngularTrace(times, tuple(gazes))
+    return GazeTrace(times, tuple(Gaze(*gaze) for gaze in gazes))
 
 
-def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
+def _parsed(path: Path, number: int, row: list[str], in_degrees: bool) -> tuple[float, tuple[float, float]]:
     """Time and gaze of a line."""
     try:
         second, x, y = (float(value) for value in row)
-        return second, Gaze(x, y)
+        if in_degrees:
+            if not max(abs(x), abs(y)) <= _MOST_DEGREES:
+                raise ValueError("not in front of the viewer")
+        else:
+            # Whether there can be such a gaze.
+            Gaze(x, y)
+        return second, (x, y)
     except ValueError as error:
-        needed = f"must be seconds, x, y, the latter within {FURTHEST} frames"
+        within = f"{_MOST_DEGREES:g} degrees" if in_degrees else f"{FURTHEST} frames"
+        needed = f"must be seconds, x, y, the latter within {within}"
         shown = one_line(",".join(row))
         raise UserError(f"{path}: line {number} is not a gaze ({shown}); {needed}") from error
 

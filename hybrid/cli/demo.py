@@ -39,7 +39,7 @@ def demo(
     ] = None,
     gaze_trace: Annotated[
         Path | None,
-        o.viewer(metavar="FILE", help="CSV file with seconds, x, y to replay instead of the mouse."),
+        o.viewer(metavar="FILE", help="CSV file with a recorded gaze to replay instead of the mouse."),
     ] = None,
     simulate: Annotated[bool, o.viewer("--simulate", help="Let a simulated viewer look around.")] = False,
     play: Annotated[bool, o.viewer("--play", help="Play a moving scene from the start.")] = False,
@@ -107,4 +107,4 @@ def _trace(
         raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
     if simulate:
         return simulated(settings.display, *size, _SIMULATED, seed)
-    return None if file is None else load_gaze_trace(file)
+    return None if file is None else load_gaze_trace(file).on(settings.display, *size)

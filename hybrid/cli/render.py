@@ -24,7 +24,7 @@ from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
-    from compose.eye.gaze import GazeTrace
+    from compose.eye.gaze import AngularTrace, GazeTrace
     from hybrid.render.frame import Frame
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
@@ -63,7 +63,7 @@ def render(
     ] = None,
     gaze: o.Gaze = None,
     gaze_trace: Annotated[
-        Path | None, o.viewer(metavar="FILE", help="CSV file with seconds, x, y: renders a video.")
+        Path | None, o.viewer(metavar="FILE", help="CSV file with a recorded gaze: renders a video.")
     ] = None,
     fps: Annotated[
         int | None, typer.Option(help=f"Frames per second of a video. Default: {_FPS}.", min=1, max=240)
@@ -191,7 +191,9 @@ def render(
     if trace is None:
         facts = _render_frames(output, detail, eyes, loaded, found, settings, seed)
     else:
-        facts = _render_video(output, loaded, found, settings, trace, fps or _FPS, seed)
+        facts = _render_video(
+            output, loaded, found, settings, trace.on(settings.display, *pixels), fps or _FPS, seed
+        )
     o.write_json(json_file, facts)
 
 
@@ -231,7 +233,7 @@ def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_vid
 
 def _loaded_trace(
     file: Path | None, gaze: tuple[float, float] | None, fps: int | None, is_path: bool
-) -> GazeTrace | None:
+) -> GazeTrace | AngularTrace | None:
     """The gaze trace, if there is one; a video along a path may have none."""
     from compose.eye.gaze import MOST_SECONDS, load_gaze_trace
     from hybrid.render.video import MOST_FRAMES

@@ -17,7 +17,7 @@ from hybrid.render.frame_settings import FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
-    from compose.eye.gaze import GazeTrace
+    from compose.eye.gaze import AngularTrace, GazeTrace
     from hybrid.render.frame import Frame
     from hybrid.render.splat_renderer import SplatRenderer
     from pathtrace.dataset.posed_images import PosedFolder
@@ -130,7 +130,7 @@ def render_views(
     renderer: SplatRenderer,
     settings: FrameSettings,
     size: tuple[int, int] | None,
-    trace: GazeTrace | None,
+    trace: GazeTrace | AngularTrace | None,
     fps: int,
 ) -> dict[str, Any]:
     """Renders and writes a video along a folder's views, ordered by time; returns what was measured."""
@@ -143,9 +143,10 @@ def render_views(
     camera = o.sized(camera, size or (camera.width - camera.width % 2, camera.height - camera.height % 2))
     check_video(camera.width, camera.height)
     path = ViewPath([View(camera, first.time), *others])
-    seconds = _SECONDS if trace is None else trace.duration
+    on_frame = None if trace is None else trace.on(settings.display, camera.width, camera.height)
+    seconds = _SECONDS if on_frame is None else on_frame.duration
     with progress_bar("video (frames)") as bar:
-        times = render_splat_video(output, renderer, settings, path, seconds, fps, bar, trace)
+        times = render_splat_video(output, renderer, settings, path, seconds, fps, bar, on_frame)
     print(f"{output}: {len(times)} frames of {camera.width} x {camera.height}")
     return _facts(replace(settings, time=first.time), camera) | {"fps": fps, "frames": times}
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from compose.base.errors import UserError
-from compose.eye.gaze import Gaze, GazeTrace, load_gaze_trace
+from compose.eye.display import DISPLAYS
+from compose.eye.gaze import AngularTrace, Gaze, GazeTrace, load_gaze_trace
+from tests.conftest import REAL_DATA
 
 TRACE = GazeTrace((0.0, 0.1, 0.5), (Gaze(0.1, 0.2), Gaze(0.5, 0.5), Gaze(0.9, 0.25)))
 
@@ -39,6 +41,9 @@ def test_time_starts_at_the_first_row(tmp_path):
         ("", "is not a gaze trace; its first line must be seconds,x,y"),
         ("t,x,y\n0,1,1\n", "is not a gaze trace"),
         ("seconds,x,y\n", "contains no gaze"),
+        ("time_s,gaze_x_deg,gaze_y_deg\n0,90,1\n", r"line 2 is not a gaze \(0,90,1\); .* within 89 degrees"),
+        ("time_s,gaze_x_deg,gaze_y_deg,saccade\n0,1,nan,0\n", "line 2 is not a gaze"),
+        ("time_s,gaze_x_deg,gaze_y_deg\n0,1\n", "line 2 is not a gaze"),
         ("seconds,x,y\n0,1\n", r"line 2 is not a gaze \(0,1\)"),
         ("seconds,x,y\n0,1,1\n1,nan,0\n", "line 3 is not a gaze"),
         ("seconds,x,y\n0,1,1\nnan,1,0\n", "line 3: time nan must be a number"),
@@ -53,6 +58,30 @@ def test_an_invalid_file_is_refused_by_name_and_line(tmp_path, text, said):
         load_gaze_trace(file)
     assert str(file) in str(found.value)
     assert "\n" not in str(found.value)
+
+
+def test_angles_fall_on_a_frame_as_the_display_shows_it(tmp_path):
+    """A display of 55 degrees shows 27.5 degrees to the right at its edge."""
+    file = tmp_path / "gaze.csv"
+    file.write_text("time_s,gaze_x_deg,gaze_y_deg,saccade\n1.5,0,0,0\n1.6,27.5,-10,1\n1.75,-27.5,10,0\n")
+    found = load_gaze_trace(file)
+    assert found == AngularTrace((0, pytest.approx(0.1), 0.25), ((0, 0), (27.5, -10), (-27.5, 10)))
+    trace = found.on(DISPLAYS["desktop"], 1920, 1080)
+    assert trace.gazes[0] == Gaze(0.5, 0.5)
+    # Half the width times tan 10 / tan 27.5 = 0.33872 lies 325.2 pixels below the middle, of 1,080.
+    assert (trace.gazes[1].x, trace.gazes[1].y) == (pytest.approx(1), pytest.approx(0.80109, abs=1e-4))
+    assert (trace.gazes[2].x, trace.gazes[2].y) == (pytest.approx(0), pytest.approx(0.19891, abs=1e-4))
+    # A frame of half the size is shown in the middle of the display.
+    assert found.on(DISPLAYS["desktop"], 960, 540).gazes[1].x == pytest.approx(1.5)
+    assert TRACE.on(DISPLAYS["desktop"], 1920, 1080) == TRACE
+
+
+@pytest.mark.skipif(not (REAL_DATA / "data").is_dir(), reason="no recorded gaze beside the project")
+def test_gaze_recorded_in_headsets_is_read():
+    for file in sorted((REAL_DATA / "data" / "eyenavgs" / "gaze").glob("*.csv")):
+        trace = load_gaze_trace(file).on(DISPLAYS["hmd"], 1440, 1700)
+        assert trace.duration == pytest.approx(45, abs=0.1)
+        assert all(0 <= gaze.x <= 1 and 0 <= gaze.y <= 1 for gaze in trace.gazes)
 
 
 def test_a_missing_file_is_refused_by_name(tmp_path):
