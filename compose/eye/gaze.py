@@ -176,7 +176,7 @@ def _parsed(path: Path, number: int, row: list[str], in_degrees: bool) -> tuple[
     try:
         second, x, y = (float(value) for value in row)
         if in_degrees:
-            if not max(abs(x), abs(y)) <= _MOST_DEGREES:
+            if not (abs(x) <= _MOST_DEGREES and abs(y) <= _MOST_DEGREES):
                 raise ValueError("not in front of the viewer")
         else:
             # Whether there can be such a gaze.
