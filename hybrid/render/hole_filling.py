@@ -94,7 +94,9 @@ class KnownSurfaces:
         depth = points @ camera.world_to_camera[2, :3].astype(np.float32) + np.float32(
             camera.world_to_camera[2, 3]
         )
-        ratio = pixel * self._forest.trained_focal / np.maximum(depth, np.finfo(np.float32).tiny)
+        # Finer frames of the same place make nothing unknown that coarser ones show.
+        focal = np.float32(min(view.fy for view in self._views))
+        ratio = pixel * focal / np.maximum(depth, np.finfo(np.float32).tiny)
         return np.clip((_FAR - ratio) / (_FAR - _NEAR), 0, 1).astype(np.float32)
 
     def _opaque(self, camera: Camera, side: int) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ import pytest
 
 from compose.camera.camera import Camera, turned
 from hybrid.measure.image_metrics import psnr
-from hybrid.render.forest_attachments import attach_views
+from hybrid.render.forest_attachments import attach_views, views_of
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.hole_filling import KnownSurfaces
@@ -106,6 +106,14 @@ def test_nothing_is_traced_where_all_is_known(scene, forest, monkeypatch, got):
     np.testing.assert_array_equal(frame.composite, plain.composite)
     assert got(frame.filled) == 0
     assert (frame.aovs()["coverage"] == 1).all()
+
+
+def test_finer_frames_of_one_place_make_no_other_unknown(scene, forest):
+    """Splats show what coarse frames saw as they would without the finer one."""
+    views = views_of(forest)
+    finer = turned_camera(views[0].resized(4 * views[0].width, 4 * views[0].height), 180)
+    refined = attach_views(replace(forest, trained_focal=4 * forest.trained_focal), [*views, finer])
+    assert Renderer(scene, refined).frame(PERIPHERY).filled == 0
 
 
 @pytest.mark.parametrize(
