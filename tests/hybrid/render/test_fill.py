@@ -111,7 +111,8 @@ def test_nothing_is_traced_where_all_is_known(scene, forest, monkeypatch, got):
 def test_finer_frames_of_one_place_make_no_other_unknown(scene, forest):
     """Splats show what coarse frames saw as they would without the finer one."""
     views = views_of(forest)
-    finer = turned_camera(views[0].resized(4 * views[0].width, 4 * views[0].height), 180)
+    width, height = views[0].width, views[0].height
+    finer = turned_camera(views[0].resized(4 * width, 4 * height).cropped(0, 0, width, height), 180)
     refined = attach_views(replace(forest, trained_focal=4 * forest.trained_focal), [*views, finer])
     assert Renderer(scene, refined).frame(PERIPHERY).filled == 0
 
