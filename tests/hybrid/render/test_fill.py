@@ -113,7 +113,8 @@ def test_finer_frames_of_one_place_make_no_other_unknown(scene, forest):
     views = views_of(forest)
     width, height = views[0].width, views[0].height
     finer = turned_camera(views[0].resized(4 * width, 4 * height).cropped(0, 0, width, height), 180)
-    refined = attach_views(replace(forest, trained_focal=4 * forest.trained_focal), [*views, *views, *views, finer])
+    refined = replace(forest, trained_focal=4 * forest.trained_focal)
+    refined = attach_views(refined, [*views, *views, *views, finer])
     assert Renderer(scene, refined).frame(PERIPHERY).filled == 0
 
 
