@@ -110,12 +110,12 @@ def periphery(
 def _print_periphery(rows: list[dict[str, Any]]) -> None:
     from hybrid.measure.perceptual_metrics import INSTALL
 
-    print("                       camera still       |    moving           |")
-    print("gaze     acuity model     ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
+    print("                            camera still       |    moving           |")
+    print("gaze     acuity model          ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
     for row in rows:
         quality = "    -" if row["jod"] is None else f"{row['jod']:5.2f}"
         print(
-            f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['acuity_model']:<14} "
+            f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['acuity_model']:<19} "
             f"{row['periphery_ms']['p50']:>5.1f} {row['full_ms']['p50']:>7.1f} {row['ratio']:>5.2f} "
             f"{row['moving_ms']['p50']:>6.1f} {row['moving_full_ms']['p50']:>7.1f} "
             f"{row['moving_ratio']:>5.2f} {row['nodes_drawn']:>7,} {quality:>7} {row['ssim']:.4f}"

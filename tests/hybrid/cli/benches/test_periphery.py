@@ -18,10 +18,10 @@ def test_there_is_a_row_per_acuity_model_and_gaze(made, display, monkeypatch, tm
     common = ["bench", command.__name__, "cornell", "--forest", made / "box.forest", "--display", display]
     assert run(monkeypatch, *common, "--repeats", 3, "--warm-up", 1, "--json", out) == 0
     rows = json.loads(out.read_text())
-    assert [(row["acuity_model"], row["gaze"]) for row in rows[:5]] == [
+    assert [(row["acuity_model"], row["gaze"]) for row in rows[: len(ACUITY_MODELS)]] == [
         (acuity_model, [0.5, 0.5]) for acuity_model in ACUITY_MODELS
     ]
-    assert len(rows) == 10
+    assert len(rows) == 14
     for row in rows:
         names = "acuity_model gaze width height periphery_ms full_ms ratio nodes_drawn jod ssim scene machine"
         assert set(names.split()) <= set(row)
@@ -32,4 +32,4 @@ def test_there_is_a_row_per_acuity_model_and_gaze(made, display, monkeypatch, tm
             assert row["ratio"] == 1
             assert row["ssim"] == pytest.approx(1)
     shown = capsys.readouterr().out.splitlines()
-    assert [line.split()[2] for line in shown[2:12]] == [row["acuity_model"] for row in rows]
+    assert [line.split()[2] for line in shown[2:16]] == [row["acuity_model"] for row in rows]
