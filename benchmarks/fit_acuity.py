@@ -203,9 +203,10 @@ def main() -> None:
             for number, name in enumerate(sensitivities.names)
         },
     }
-    print(json_text(found))
+    text = json_text(found)
+    print(text)
     if options.json:
-        options.json.write_text(json_text(found))
+        options.json.write_text(text)
 
 
 if __name__ == "__main__":

@@ -21,9 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hard_scenes import SCENES
+from benchmarks.tables import DATA, ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT / "docs" / "measured" / "data"
 STAIRCASE = "staircase2/scene.xml"
 
 
@@ -145,10 +144,12 @@ def main() -> None:
     # What other code prepared is not gone on with.
     work = (options.work / code()["source"]).resolve()
     work.mkdir(parents=True, exist_ok=True)
-    for name, write in SCENES.items():
-        write(work / name)
+    names = options.names or list(MEASUREMENTS)
+    for scene, write in SCENES.items():
+        if f"prepare-{scene}" in names:
+            write(work / scene)
     places = {"STAIRCASE": options.scenes.resolve() / STAIRCASE, "VISION": options.vision.resolve()}
-    for name in options.names or MEASUREMENTS:
+    for name in names:
         print(f"{name}: {MEASUREMENTS[name].command}", flush=True)
         measure(name, work, places)
 

@@ -128,7 +128,7 @@ def limit_sensitivity(
     eccentricity: Array,
     luminance: Array | float = 100.0,
     area: Array | float = np.pi,
-    parameters: tuple[float, ...] | None = None,
+    parameters: tuple[float, ...] = _LIMIT,
 ) -> Array:
     """Contrast sensitivity to static gratings, fitted to people.
 
@@ -146,9 +146,9 @@ def limit_sensitivity(
         luminance: in cd/m2.
         area: of the grating in square degrees.
         parameters: log10 of the gain, a, b, c, and the frequency in cycles per degree whose sensitivity the
-            optics divide by 10; as fitted if None.
+            optics divide by 10.
     """
-    gain, constant, slope, power, optics = parameters or _LIMIT
+    gain, constant, slope, power, optics = parameters
     falls = (constant + slope * frequency**power) * eccentricity + (frequency / optics) ** 2
     return _foveal_sensitivity(frequency, luminance, area) * 10 ** (gain - falls)
 

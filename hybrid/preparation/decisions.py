@@ -186,10 +186,10 @@ def sample_decisions(look: Look) -> list[Decision]:
     denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
     gain = max(raw / 2, _LEAST_ERROR) / max(denoised, _LEAST_ERROR)
     kind, gain = (DENOISED, gain) if gain >= _LEAST_DENOISING_GAIN else (RAW, 1.0)
-    evidence = {"raw_spp": HALF_SPP, "raw_db": _db(raw)}
-    evidence |= {"denoised_spp": 2 * HALF_SPP, "denoised_db": _db(denoised)}
+    evidence = {"raw_spp": HALF_SPP, "raw_db": decibels(raw)}
+    evidence |= {"denoised_spp": 2 * HALF_SPP, "denoised_db": decibels(denoised)}
     return [
-        _samples(kind, _db(denoised if kind == DENOISED else raw / 2)),
+        _samples(kind, decibels(denoised if kind == DENOISED else raw / 2)),
         Decision(DENOISING, kind, RAW, evidence, gain, "samples for equal error"),
     ]
 
@@ -203,7 +203,8 @@ def _samples(kind: str, found_db: float) -> Decision:
     return Decision(SAMPLES, samples, FIXED_SAMPLES, evidence, FIXED_SAMPLES / samples, "samples to trace")
 
 
-def _db(squared: float) -> float:
+def decibels(squared: float) -> float:
+    """PSNR in dB, at most 120, of a mean squared error of sRGB values."""
     return float(-10 * np.log10(max(squared, _LEAST_ERROR)))
 
 

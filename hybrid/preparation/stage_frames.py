@@ -12,7 +12,7 @@ import numpy as np
 from compose.camera.camera import Camera
 from compose.image.colour import srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
+from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES, decibels
 from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error
@@ -117,8 +117,7 @@ def _difference(frames: GrowingFrames, number: int, renderer: ForestRenderer) ->
 def trained_psnr(frames: GrowingFrames, forest: Forest) -> float:
     """PSNR in dB of a forest in the frames that it was trained on."""
     renderer = ForestRenderer(device_arrays(), forest)
-    mean = float(np.mean([_difference(frames, number, renderer) for number in _asked(frames)]))
-    return -10 * math.log10(max(mean, 1e-12))
+    return decibels(float(np.mean([_difference(frames, number, renderer) for number in _asked(frames)])))
 
 
 VIEWS = "views"
