@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Sequence
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib import import_module
 from types import ModuleType
 from typing import Any, Literal
 
@@ -22,16 +24,21 @@ ALIGNED_FLOATS = _ALIGNMENT // 4
 _KEYS_PER_BUCKET = 4
 
 
+@dataclass(frozen=True)
 class Arrays:
     """Array types of a backend: `plain` ones for hand-written kernels, and `ad` ones with derivatives."""
 
-    def __init__(self, backend: BackendName):
-        import drjit.cuda
-        import drjit.llvm
+    backend: BackendName
 
-        self.backend = backend
-        self.plain: ModuleType = drjit.llvm if backend == "llvm" else drjit.cuda
-        self.ad: ModuleType = self.plain.ad
+    @cached_property
+    def plain(self) -> ModuleType:
+        """Types without derivatives."""
+        return import_module(f"drjit.{self.backend}")
+
+    @property
+    def ad(self) -> Any:
+        """Types with derivatives."""
+        return self.plain.ad
 
     @property
     def device(self) -> torch.device:

@@ -22,7 +22,7 @@ from pathtrace.cache.irradiance_cache import IrradianceCache, look_up
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions, opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
-from pathtrace.trace.frozen import Frozen
+from pathtrace.trace.frozen import FrozenWithScenes
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
@@ -163,7 +163,7 @@ def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
     points = hit.p, mi.Normal3f(dr.select(hit.wi.z > 0, hit.n, -hit.n)), valid
     dr.eval(points)
     known = cache.arrays(scene.mitsuba).irradiance
-    kernels = {asks: Frozen(partial(_repeated, asks)) for asks in (False, True)}
+    kernels = {asks: FrozenWithScenes(partial(_repeated, asks)) for asks in (False, True)}
     times: dict[bool, list[float]] = {asks: [] for asks in kernels}
     for number in range(1 + _REPEATS):
         for asks, kernel in kernels.items():

@@ -37,8 +37,8 @@ def bench_raster(
     forward, backward = [], []
     for step in range(-warm_up, repeats):
         start = time.perf_counter()
-        parts = Parts(Candidates(arrays, splats, grid))
-        (image,) = rasterize_parts(arrays, splats, parts)
+        parts = Parts(Candidates.of(arrays, splats, grid))
+        (image,) = rasterize_parts(arrays, parts)
         dr.sync_thread()
         middle = time.perf_counter()
         rasterize_parts_backward(arrays, splats, parts, image, gradient)

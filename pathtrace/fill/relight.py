@@ -22,7 +22,7 @@ from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
 from pathtrace.fill.filling import segments_beyond_cache
 from pathtrace.fill.gather import SAMPLES, followed, sampled_lights, surfaces_at
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.frozen import Frozen
+from pathtrace.trace.frozen import FrozenWithScenes
 
 # Share of the mean light that a dark place is taken to have had: where it was dark, a lamp may now shine.
 _LEAST = 1e-3
@@ -159,7 +159,7 @@ class Resampling:
             mi.Float(np.append(transfer.rays.weight, np.float32(0))),
         )
         dr.eval(self._points, self._rays)
-        self._light, self._show = Frozen(self._of_points), Frozen(self._of_rays)
+        self._light, self._show = FrozenWithScenes(self._of_points), FrozenWithScenes(self._of_rays)
 
     def next_part(self) -> Part:
         """Samples of the part after the last one, under the lights as they are now."""

@@ -1,15 +1,15 @@
-"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector."""
+"""Frozen functions of scenes: Dr.Jit records them once and replays them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from compose.base.collector import collector_paused
+from compose.base.frozen import Frozen, Passed, rebuilt
 
 # Array types by whose entries one gets at all objects that Mitsuba has registered.
 _REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "Texture"
@@ -18,42 +18,28 @@ _NO_NUMBER = 1 << 30
 _MISSING = object()
 
 
-class Frozen:
-    """`dr.freeze` without three ways in which it stops or aborts the process, or takes its time (Dr.Jit 1.5).
-
-    Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
-    in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
-    one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
-    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile.
+class FrozenWithScenes(Frozen):
+    """A frozen function that takes scenes, as arguments of their own, in nothing else.
 
     A scene is walked through at each call, each shape with all that it refers to: 2 ms for 38 shapes. So its
     arrays pass in its place, and are only looked for again if one of them has been replaced.
-
-    What the function takes from elsewhere than its arguments is part of the recording for good.
-
-    Args:
-        function: takes and returns Dr.Jit arrays, Mitsuba's types, and dataclasses, tuples, lists and dicts
-            of them, nested in any way. A dataclass must be made by its fields. Scenes are arguments of their
-            own, in nothing else. Other values are part of the recording; their hash must not run Python code
-            either.
     """
 
     def __init__(self, function: Callable[..., Any]):
-        self._function = function
-        self._recorded = dr.freeze(self._plain)
+        super().__init__(function)
         self._scenes: dict[int, _Scene] = {}
 
     def __call__(self, *arguments: Any) -> Any:
         with collector_paused():
             given = tuple(self._known(each) if type(each) is mi.Scene else each for each in arguments)
             try:
-                result = self._recorded(_flattened(given))
+                result = self.replayed(given)
             except RuntimeError:
                 # Another recording, where scenes came into memory since the arrays were looked for.
                 if not sum(each.renewed() for each in given if type(each) is _Scene):
                     raise
-                result = self._recorded(_flattened(given))
-        return _rebuilt(result)
+                result = self.replayed(given)
+        return rebuilt(result)
 
     def _known(self, scene: Any) -> _Scene:
         """A scene with its arrays as they are now."""
@@ -62,23 +48,19 @@ class Frozen:
         known.follow()
         return known
 
-    def _plain(self, arguments: Any) -> Any:
-        """The function from flattened arguments to a flattened result; frozen."""
-        return _flattened(self._function(*_rebuilt(arguments)))
 
-
-class _Scene:
+class _Scene(Passed):
     """A scene as an argument of a recording: told apart by identity, with its arrays beside it."""
 
     def __init__(self, scene: Any):
-        self.scene = scene
+        self.value = scene
         self._indices: list[int] = []
         self._held: list[int] = []
         self.flat: tuple[Any, ...] = ()
 
     def follow(self) -> None:
         """Looks for the arrays again if one of the scene's has been replaced since the last time."""
-        indices = _indices([self.scene])
+        indices = _indices([self.value])
         if indices != self._indices:
             self._indices = indices
             self.renewed()
@@ -86,7 +68,7 @@ class _Scene:
     def renewed(self) -> bool:
         """Looks for the arrays again; whether there are others."""
         # A recording has the functions of all objects in memory in it, and reads the arrays of all.
-        found = _indices([self.scene, *_registered_objects()])
+        found = _indices([self.value, *_registered_objects()])
         of_all = [index for index in dict.fromkeys(found) if index]
         if of_all == self._held:
             return False
@@ -126,30 +108,3 @@ def _of_number(kind: Any, number: int) -> Any:
         return dr.reinterpret_array(kind, mi.UInt32(number))[0]
     except RuntimeError:
         return _MISSING
-
-
-def _flattened(value: Any) -> Any:
-    """Dataclasses, tuples and lists as tuples that start with their type, by which recordings differ."""
-    kind = type(value)
-    if kind is _Scene:
-        return value.flat
-    if is_dataclass(kind):
-        return (kind, *(_flattened(getattr(value, field.name)) for field in fields(kind)))
-    if kind in (tuple, list):
-        return (kind, *map(_flattened, value))
-    return {key: _flattened(part) for key, part in value.items()} if kind is dict else value
-
-
-def _rebuilt(value: Any) -> Any:
-    """What was flattened."""
-    if type(value) is dict:
-        return {key: _rebuilt(part) for key, part in value.items()}
-    if type(value) is not tuple:
-        return value
-    kind, *parts = value
-    if kind is _Scene:
-        return parts[0].scene
-    rebuilt = map(_rebuilt, parts)
-    if kind in (tuple, list):
-        return kind(rebuilt)
-    return kind(**{field.name: part for field, part in zip(fields(kind), rebuilt, strict=True)})

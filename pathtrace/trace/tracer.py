@@ -29,7 +29,7 @@ from pathtrace.trace.first_hit import (
     has_clear_surfaces,
     registered,
 )
-from pathtrace.trace.frozen import Frozen
+from pathtrace.trace.frozen import FrozenWithScenes
 from pathtrace.trace.sampling import Batch, SampleCounts, Sequences, joined_channels, mixed_seeds
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
@@ -129,8 +129,10 @@ class Tracer:
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
         self._settings = PathSettings(depth, roulette, shadow_rays, scene.thin_glass, most_indirect)
-        self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
-        self._trace_auxiliary = Frozen(self._auxiliary)
+        self._trace_radiance = FrozenWithScenes(
+            self._radiance if self._known is None else self._cached_radiance
+        )
+        self._trace_auxiliary = FrozenWithScenes(self._auxiliary)
 
     def relight(self, cache: IrradianceCache) -> None:
         """Lets paths end in other light of the cache that this tracer was made with."""

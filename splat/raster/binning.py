@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
+from compose.base.frozen import Frozen, capacity
 from splat.raster.projection import NEAR, Splats
-from splat.raster.records import RecordLayout
-from splat.raster.tiles import TileGrid
+from splat.raster.records import RecordLayout, Records
+from splat.raster.tiles import GridNumbers, TileGrid
 
 # Depths are sorted by so many bits: 32 octaves from the near plane in steps of one part in 131,072. Where
 # something lies further away, the steps are up to eight times as large.
@@ -22,6 +23,10 @@ _DEPTH_BITS = 22
 _DEPTH_SHIFT = 6
 # Below this a contribution is invisible on an 8-bit display; every extent follows from it.
 MINIMUM_ALPHA = 1 / 255
+# A splat as the tiles read it: centre, log2 of its alpha at (dx, dy) from there as constant - u^2 - v^2 with
+# u = u_x dx + u_y dy and v = v_y dy, and radiance. One float is spare.
+_BLENDED = RecordLayout((8, 2), x=1, y=1, u_x=1, u_y=1, v_y=1, constant=1, red=1, green=1, blue=1)
+LOG2_E = 1.4426950408889634
 # A splat's ellipse and its box of tiles: its first column plus 2^16 times its first row, and its number of
 # columns. Nothing is spare.
 _ELLIPSE = "x", "y", "x_precision", "shear", "y_precision", "opacity"
@@ -29,8 +34,27 @@ _BOX = RecordLayout((8,), ("corner", "across"), **dict.fromkeys(_ELLIPSE, 1), co
 
 
 @dataclass(frozen=True)
+class Lists:
+    """For each tile the list of splats that it blends; P pairs of tile and splat.
+
+    Pairs that no tile blends come last, as the list of a tile of their own.
+    """
+
+    grid: GridNumbers
+    pairs: int  # P
+    ranges: Any  # (2 * tiles + 2,) start and end of each tile's list
+    splat: Any  # (P,) splat of each pair, sorted by tile, then by depth
+    tile: Any  # (P,) tile of each pair, or the number of tiles
+    unsorted: Any  # (P,) position of each pair before sorting
+
+    def of(self, arrays: Arrays, tile: Any) -> tuple[Any, Any]:
+        """(M,) start and end of the lists of tiles."""
+        return tuple(dr.gather(arrays.plain.ArrayXu, self.ranges, tile, shape=(2, dr.width(tile))))
+
+
+@dataclass(frozen=True)
 class Bins:
-    """For each tile the list of splats that it blends.
+    """The lists of a frame's tiles, and the runs of pairs that they were sorted from.
 
     Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
     """
@@ -38,12 +62,7 @@ class Bins:
     arrays: Arrays
     grid: TileGrid  # the tiles
     wanted: NDArray[np.bool_]  # (rows, columns) bool, the tiles that are rasterized
-    # (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs that no
-    # tile blends.
-    ranges: Any
-    splat: Any  # (P,) splat of each pair, sorted by tile, then by depth
-    tile: Any  # (P,) tile of each pair, columns * rows for those that no tile blends
-    unsorted: Any  # (P,) position of each pair before sorting
+    lists: Lists
     first: Any  # first, count: (S,) the run of each of S splats, which may be empty
     count: Any
     owner: Any  # (S,) these splats
@@ -53,14 +72,10 @@ class Bins:
         """(T,) numbers of the tiles that are rasterized, row by row."""
         return uploaded(self.arrays.plain.UInt, np.flatnonzero(self.wanted).astype(np.uint32))
 
-    def list_of(self, tile: Any) -> tuple[Any, Any]:
-        """(M,) start and end of the lists of tiles."""
-        return tuple(dr.gather(self.arrays.plain.ArrayXu, self.ranges, tile, shape=(2, dr.width(tile))))
-
     @property
     def pairs(self) -> int:
-        """P, not counting pairs that no tile blends; waits for the lists."""
-        return int(self.ranges[2 * self.grid.columns * self.grid.rows])
+        """Number of pairs that tiles blend; waits for the lists."""
+        return int(self.lists.ranges[2 * self.grid.columns * self.grid.rows])
 
 
 @dataclass(frozen=True)
@@ -81,34 +96,54 @@ class TileWindow(NamedTuple):
     bottom: int
 
 
+@dataclass(frozen=True)
+class Boxed:
+    """N splats as lists of them are made and blended."""
+
+    blended: Records  # what tiles read of them
+    boxes: Records  # their ellipses, and the boxes of tiles around these
+    count: Any  # (N,) tiles in each box, 0 for a splat that is not seen
+
+
+def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int, count: int) -> Boxed:
+    """What is read of N = `count` splats for tiles of that side, each confined to some tiles."""
+    boxes = _boxes(arrays, splats, bounds, side)
+    found = Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, boxes), boxes.across * boxes.down)
+    assert len(found.blended) == count
+    dr.eval(found.blended.tables, found.boxes.tables, found.count)
+    return found
+
+
 class Candidates:
     """Tiles that each splat may touch, from which the lists of any part of the frame are made.
 
     Args:
-        splats: without derivatives.
+        found: the splats, as boxed for the grid's tiles.
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
-        bounds: tiles that each splat is confined to; all by default.
-        in_order: whether splats that meet in a tile come from near to far already.
+        order: (N,) indices of the splats from near to far; by default they are in that order.
+        runs: of the whole grid, if they are known, as `run_lengths` gives them.
     """
 
     def __init__(
         self,
         arrays: Arrays,
-        splats: Splats,
+        found: Boxed,
         grid: TileGrid,
         wanted: NDArray[np.bool_] | None = None,
-        bounds: TileBounds | None = None,
-        in_order: bool = False,
+        order: Any = None,
+        runs: tuple[Any, Any, Any] | None = None,
     ):
-        self._arrays, self._splats, self.grid = arrays, splats, grid
+        self._arrays, self.found, self.grid = arrays, found, grid
         self.whole = TileWindow(0, 0, grid.columns, grid.rows)
-        self.wanted, self._all_wanted = grid.mask(wanted), wanted is None
-        everywhere = TileBounds(arrays.constant(grid.columns), 0, arrays.constant(grid.rows))
-        self._boxes = _boxes(arrays, splats, bounds or everywhere, grid.side)
-        # Later, and together with what else is made of the splats: this makes one kernel of all.
-        dr.schedule(self._boxes.__dict__)
-        seen = self._boxes.across > 0
-        self._order = None if in_order else depth_order(arrays, splats.depth, seen)
+        self.wanted, self._order, self._known = grid.mask(wanted), order, runs
+        self._mask = None if wanted is None else uploaded(arrays.plain.Bool, self.wanted)
+
+    @staticmethod
+    def of(arrays: Arrays, splats: Splats, grid: TileGrid) -> Candidates:
+        """Those of splats in any order, without derivatives, for all tiles."""
+        everywhere = TileBounds(arrays.constant(grid.columns), arrays.constant(0), arrays.constant(grid.rows))
+        found = _boxed(arrays, splats, everywhere, grid.side, dr.width(splats.x))
+        return Candidates(arrays, found, grid, None, depth_order(arrays, splats.depth, found.count > 0))
 
     def runs(self, window: TileWindow) -> Runs:
         """The candidates in a window, counted but not listed."""
@@ -117,18 +152,40 @@ class Candidates:
         tiles[inside] = self.wanted[inside]
         if not tiles.any():
             return Runs(tiles, 0)
-        boxes = self._boxes if window == self.whole else _clipped(self._arrays, self._boxes, window)
-        return _runs(self._arrays, self._splats, boxes, self._order, tiles)
+        arrays, found = self._arrays, self.found
+        boxes, count = found.boxes, found.count
+        if window != self.whole:
+            boxes, count = _clipped(arrays, boxes, count, window)
+        known = self._known if window == self.whole else None
+        first, count, end = known or _run_lengths(arrays, count, self._order, len(boxes))
+        # Here, the host waits.
+        return Runs(tiles, int(end[len(boxes) - 1]), PairRuns(boxes, self._order, first, count))
 
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
+        arrays, grid, numbers = self._arrays, self.grid, self.grid.numbers(self._arrays)
         if not runs.pairs:
-            UInt, ranges = self._arrays.plain.UInt, 2 * self.grid.columns * self.grid.rows + 2
+            UInt, ranges = arrays.plain.UInt, 2 * grid.columns * grid.rows + 2
             none = [dr.zeros(UInt, 0) for _ in range(6)]
-            return Bins(self._arrays, self.grid, runs.wanted, dr.zeros(UInt, ranges), *none)
-        mask = None if self._all_wanted else self.wanted
-        key, splat = _pairs(self._arrays, runs, self.grid, mask)
-        return _sorted(self._arrays, self.grid, runs, key, splat)
+            empty = Lists(numbers, 0, dr.zeros(UInt, ranges), *none[:3])
+            return Bins(arrays, grid, runs.wanted, empty, *none[3:])
+        key, splat = self.keys(runs)
+        sizes = dr.width(key), grid.columns * grid.rows
+        lists = _listed(arrays, numbers, key, splat, self.sorting(key), *sizes)
+        first, count = runs.of.first, runs.of.count
+        owner = dr.arange(arrays.plain.UInt, dr.width(first)) if self._order is None else self._order
+        return Bins(arrays, grid, runs.wanted, lists, first, count, owner)
+
+    def keys(self, runs: Runs) -> tuple[Any, Any]:
+        """For each candidate of runs, padded, the key that it is sorted by, and its splat."""
+        arrays, sizes = self._arrays, (dr.width(runs.of.first), capacity(runs.pairs))
+        pairs = arrays.constant(runs.pairs)
+        return _keys(arrays, self.grid.numbers(arrays), runs.of, pairs, self._mask, *sizes)
+
+    def sorting(self, key: Any) -> Any:
+        """Indices that sort candidates by their keys; those of one tile keep their order."""
+        # Not in a recording: on a card, Dr.Jit 1.5 ends the process when it replays a sort.
+        return self._arrays.argsort(key, self.grid.columns * self.grid.rows + 1)
 
 
 def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
@@ -180,14 +237,47 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
     return _Boxes(UInt(x0), UInt(y0), across, down)
 
 
-def _clipped(arrays: Arrays, boxes: _Boxes, window: TileWindow) -> _Boxes:
-    """The parts of boxes inside a window."""
+def _packed(arrays: Arrays, splats: Splats) -> Records:
+    """What the tiles read of splats."""
+    # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
+    u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
+    same = {name: getattr(splats, name) for name in ("x", "y", "red", "green", "blue")}
+    v_y = dr.sqrt(splats.y_precision * (0.5 * LOG2_E))
+    constant = dr.log2(dr.maximum(splats.opacity, 1e-12))
+    u_y = u_x * splats.shear
+    return _BLENDED.pack(arrays, **same, u_x=u_x, u_y=u_y, v_y=v_y, constant=constant)
+
+
+def _packed_boxes(arrays: Arrays, ellipse: Any, boxes: _Boxes) -> Records:
+    """Records of boxes and of what lies in them, splats or such records as they are read."""
+    same = {name: getattr(ellipse, name) for name in _ELLIPSE}
+    return _BOX.pack(arrays, **same, corner=boxes.left | boxes.top << 16, across=boxes.across)
+
+
+def _clipped(arrays: Arrays, boxes: Records, count: Any, window: TileWindow) -> tuple[Records, Any]:
+    """The parts of boxes with so many tiles each inside a window, and their numbers of tiles."""
+    box = boxes.at(dr.arange(arrays.plain.UInt, len(boxes)))
+    at_left, at_top = box.corner & 0xFFFF, box.corner >> 16
     left, top, right, bottom = (arrays.constant(side) for side in window)
-    first_x, first_y = dr.maximum(boxes.left, left), dr.maximum(boxes.top, top)
-    end_x, end_y = dr.minimum(boxes.left + boxes.across, right), dr.minimum(boxes.top + boxes.down, bottom)
-    inside = (boxes.across > 0) & (end_x > first_x) & (end_y > first_y)
+    first_x, first_y = dr.maximum(at_left, left), dr.maximum(at_top, top)
+    end_x = dr.minimum(at_left + box.across, right)
+    end_y = dr.minimum(at_top + count // dr.maximum(box.across, 1), bottom)
+    inside = (count > 0) & (end_x > first_x) & (end_y > first_y)
     across, down = dr.select(inside, end_x - first_x, 0), dr.select(inside, end_y - first_y, 0)
-    return _Boxes(first_x, first_y, across, down)
+    clipped, tiles = _Boxes(first_x, first_y, across, down), across * down
+    records = _packed_boxes(arrays, box, clipped)
+    dr.eval(records.tables, tiles)
+    return records, tiles
+
+
+@dataclass(frozen=True)
+class PairRuns:
+    """The runs of candidates of S splats on the device."""
+
+    boxes: Records  # of all splats
+    order: Any  # (S,) the splats; None for all of them as they are
+    first: Any  # first, count: (S,) the run of each of them; some are empty
+    count: Any
 
 
 @dataclass(frozen=True)
@@ -195,50 +285,57 @@ class Runs:
     """Candidate pairs of splat and tile in a window: a run per splat, one tile after another."""
 
     wanted: NDArray[np.bool_]  # (rows, columns) bool, the window's tiles that are rasterized
-    pairs: int  # number of candidates; if that is 0, nothing else is set
-    order: Any = None  # (S,) splats; None for all of them as they are
-    first: Any = None  # first, count: (S,) the run of each of them; some are empty
-    count: Any = None
-    boxes: Any = None  # records of all splats' ellipses and boxes
+    pairs: int  # number of candidates
+    of: Any = None  # their `PairRuns`, if there are any
 
 
-def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any, wanted: NDArray[np.bool_]) -> Runs:
-    """Counts the candidates of each splat."""
-    UInt = arrays.plain.UInt
-    ellipse = {name: getattr(splats, name) for name in _ELLIPSE}
-    records = _BOX.pack(arrays, **ellipse, corner=boxes.left | boxes.top << 16, across=boxes.across)
-    count = boxes.across * boxes.down
-    # Many splats on a large frame are more pairs than 32 bits count. Where it matters, `first` has wrapped,
-    # and whoever asked splits the window.
-    wide = arrays.plain.UInt64(count if order is None else dr.gather(UInt, count, order))
+def run_lengths(arrays: Arrays, count: Any, order: Any, splats: int) -> tuple[Any, Any, Any]:
+    """Of each of S = `splats` the first pair and the number of pairs, UInt (S,), and the end, UInt64 (S,).
+
+    Many splats on a large frame are more pairs than 32 bits count. Where it matters, the first pair's number
+    has wrapped, and whoever asked splits the window.
+    """
+    UInt, UInt64 = arrays.plain.UInt, arrays.plain.UInt64
+    wide = UInt64(count if order is None else dr.gather(UInt, count, order))
     end = dr.cumsum(wide)
-    return Runs(wanted, int(end[dr.width(end) - 1]), order, UInt(end - wide), UInt(wide), records)
+    assert dr.width(end) == splats
+    return UInt(end - wide), UInt(wide), end
 
 
-def _pairs(arrays: Arrays, runs: Runs, grid: TileGrid, wanted: NDArray[np.bool_] | None) -> tuple[Any, Any]:
-    """For each candidate the key that it is sorted by, and its splat.
+def keys(
+    arrays: Arrays,
+    grid: GridNumbers,
+    runs: PairRuns,
+    pairs: Any,
+    wanted: Any,
+    splats: int,
+    size: int,
+) -> tuple[Any, Any]:
+    """For each of `size` candidates the key that it is sorted by, and its splat.
 
-    The key is the number of the tile, or columns * rows for a candidate that need not be drawn.
+    The key is the number of the tile, or that of all tiles for a candidate that need not be drawn, and for
+    what lies behind the last one. The runs are of so many splats; `pairs` is the number of candidates and
+    `wanted` the mask of tiles, or None, both in memory.
     """
     UInt = arrays.plain.UInt
     # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
-    marks = dr.zeros(UInt, runs.pairs)
-    dr.scatter(marks, dr.arange(UInt, dr.width(runs.first)), runs.first, runs.count > 0)
-    dr.eval(runs.first, marks)
+    marks = dr.zeros(UInt, size)
+    dr.scatter(marks, dr.arange(UInt, splats), runs.first, runs.count > 0)
+    dr.eval(marks)
     run = dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
     splat = run if runs.order is None else dr.gather(UInt, runs.order, run)
-    box = runs.boxes.at(splat)
-    within = dr.arange(UInt, runs.pairs) - dr.gather(UInt, runs.first, run)
+    box, lane = runs.boxes.at(splat), dr.arange(UInt, size)
+    within = lane - dr.gather(UInt, runs.first, run)
     # Masked lanes divide as well, and a division by zero raises SIGFPE on the CPU.
     across = dr.maximum(box.across, 1)
     row = within // across
     tile_x = (box.corner & 0xFFFF) + within - row * across
     tile_y = (box.corner >> 16) + row
-    tile = tile_y * arrays.constant(grid.columns) + tile_x
-    keep = _reaches(arrays, box, tile_x, tile_y, grid.side)
+    tile, keep = tile_y * grid.columns + tile_x, lane < pairs
+    keep &= _reaches(arrays, box, tile_x, tile_y, grid.side)
     if wanted is not None:
-        keep &= dr.gather(arrays.plain.Bool, uploaded(arrays.plain.Bool, wanted), tile)
-    key = dr.select(keep, tile, arrays.constant(grid.columns * grid.rows))
+        keep &= dr.gather(arrays.plain.Bool, wanted, tile, keep)
+    key = dr.select(keep, tile, grid.tiles)
     dr.eval(key, splat)
     return key, splat
 
@@ -269,19 +366,25 @@ def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, s
     return nearest <= 2 * dr.log(splat.opacity * (1 / MINIMUM_ALPHA)) + 1e-3
 
 
-def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) -> Bins:
-    """The candidates sorted by tile; candidates of one tile keep their order."""
-    UInt, count = arrays.plain.UInt, grid.columns * grid.rows
-    sorting = arrays.argsort(key, count + 1)
+def lists(
+    arrays: Arrays, grid: GridNumbers, key: Any, splat: Any, sorting: Any, pairs: int, tiles: int
+) -> Lists:
+    """The lists of tiles from candidates, `pairs` of them, and the indices that sort them; not evaluated."""
+    UInt = arrays.plain.UInt
     # What no pair says: lists, also empty ones, end behind the last pair, and so do those to be blended.
-    ranges = dr.full(UInt, runs.pairs, 2 * (count + 1))
-    lane = dr.arange(UInt, runs.pairs)
+    ranges = dr.full(UInt, pairs, 2 * (tiles + 1))
+    lane = dr.arange(UInt, pairs)
     own = dr.gather(UInt, key, sorting)
     before = dr.gather(UInt, key, dr.gather(UInt, sorting, lane - 1, lane > 0), lane > 0)
     dr.scatter(ranges, lane, own * 2, (lane == 0) | (own != before))
     dr.scatter(ranges, lane, before * 2 + 1, (lane > 0) & (own != before))
-    # Not evaluated yet: one kernel finds the ranges and gathers what the tiles read.
-    owner = dr.arange(UInt, dr.width(runs.first)) if runs.order is None else runs.order
-    sorted_splat = dr.gather(UInt, splat, sorting)
-    pairs, found = (sorted_splat, own, sorting), (runs.first, runs.count, owner)
-    return Bins(arrays, grid, runs.wanted, ranges, *pairs, *found)
+    return Lists(grid, pairs, ranges, dr.gather(UInt, splat, sorting), own, sorting)
+
+
+def _evaluated_lists(*given: Any) -> Lists:
+    found = lists(*given)
+    dr.eval(found.ranges, found.splat, found.tile)
+    return found
+
+
+_boxed, _run_lengths, _keys, _listed = map(Frozen, (boxed, run_lengths, keys, _evaluated_lists))

@@ -24,8 +24,9 @@ import drjit as dr
 import numpy as np
 
 from compose.base.arrays import Arrays
-from splat.raster.binning import MINIMUM_ALPHA, Bins
-from splat.raster.blocks import CHANNELS, LOG2_E, Blocks, Shown, blended_records, exp2
+from compose.base.frozen import Frozen
+from splat.raster.binning import LOG2_E, MINIMUM_ALPHA, Bins, Lists
+from splat.raster.blocks import CHANNELS, Blocks, Shown, exp2, records_of_pairs
 from splat.raster.projection import Splats
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import LANES_ACROSS, TileGrid
@@ -38,7 +39,7 @@ _LONG_LIST = 256
 
 def rasterize(
     arrays: Arrays,
-    splats: Splats,
+    blended: Records,
     bins: Bins,
     images: list[Any] | None = None,
     heights: Sequence[int] | None = None,
@@ -46,27 +47,80 @@ def rasterize(
     """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
     Args:
+        blended: the splats, as `Boxed` has them.
         images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the
             top; new ones by default.
         heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
     """
-    Float, heights = arrays.plain.Float, heights or [bins.grid.rows]
-    # New images need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
-    everywhere, listed = images is None, dr.width(bins.splat) > 0
+    grid, size = bins.grid, bins.lists.pairs
+    split = ImageSplit.of(arrays, grid, heights or [grid.rows])
+    if not size:
+        return images or split.new(arrays, dr.zeros)
+    leaps = jumps(arrays, size, np.count_nonzero(bins.wanted))
+    if images is not None:
+        tiles = dr.width(bins.tiles), bins.tiles
+        return blend(arrays, blended, bins.lists, split, leaps, images, *tiles)
+    return _blend(arrays, blended, bins.lists, split, leaps)
+
+
+def stays_together(arrays: Arrays) -> bool:
+    """Whether lanes do not go by themselves."""
+    return arrays.backend != "llvm"
+
+
+def jumps(arrays: Arrays, pairs: int, tiles: int) -> bool:
+    """Whether lanes jump over what they do not show where so many tiles blend so many pairs."""
+    return not stays_together(arrays) and pairs <= _LONG_LIST * tiles
+
+
+@dataclass(frozen=True)
+class ImageSplit:
+    """Images that lie one above the other in a grid of tiles."""
+
+    heights: list[int]  # rows of tiles of each
+    columns: int  # of tiles
+    rows: list[Any]  # UInts of width 1: first row of pixels of each, and of what would follow
+    side: int  # of a tile in pixels
+
+    @staticmethod
+    def of(arrays: Arrays, grid: TileGrid, heights: Sequence[int]) -> ImageSplit:
+        """Images of so many rows of a grid's tiles."""
+        above = np.cumsum([0, *heights]) * grid.side
+        rows = [arrays.constant(row) for row in above.tolist()]
+        return ImageSplit(list(heights), grid.columns, rows, grid.side)
+
+    def new(self, arrays: Arrays, make: Callable[..., Any]) -> list[Any]:
+        """New images, made by `dr.zeros` or `dr.empty`."""
+        row = self.columns * self.side**2 * CHANNELS
+        return [make(arrays.plain.Float, height * row) for height in self.heights]
+
+
+def blend(
+    arrays: Arrays,
+    blended: Records,
+    lists: Lists,
+    split: ImageSplit,
+    leaps: bool,
+    images: list[Any] | None = None,
+    count: int = 0,
+    tiles: Any = None,
+) -> list[Any]:
+    """Draws the lists of all tiles into new images, or those of `count` given tiles into some.
+
+    `leaps` says whether lanes jump over what they do not show.
+    """
+    Float = arrays.plain.Float
     if images is None:
-        images = new_images(arrays, bins.grid, heights, dr.empty if listed else dr.zeros)
-    if not listed:
-        return images
-    records = blended_records(arrays, splats, bins)
-    block = Blocks.of_tiles(arrays, bins, everywhere)
-    # Whether lanes go by themselves.
-    jumps = arrays.backend == "llvm" and dr.width(bins.splat) <= _LONG_LIST * np.count_nonzero(bins.wanted)
-    shown = Shown(arrays, bins, records) if jumps else None
+        # They need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
+        images, count = split.new(arrays, dr.empty), sum(split.heights) * split.columns
+    records = records_of_pairs(blended, lists)
+    block = Blocks.of_tiles(arrays, lists, count, tiles)
+    shown = Shown(arrays, lists, records) if leaps else None
 
     def following(i: Any) -> Any:
         return i if shown is None else shown.following(i, block.last, block.number)
 
-    def blend(i: Any, transmittance: list[Any], colour: list[Any]) -> tuple[Any, list[Any], list[Any]]:
+    def step(i: Any, transmittance: list[Any], colour: list[Any]) -> tuple[Any, list[Any], list[Any]]:
         splat = records.at(i)
         radiance = splat.red, splat.green, splat.blue
         transmittance, colour = list(transmittance), list(colour)
@@ -86,28 +140,21 @@ def rasterize(
         [Float(0) for _ in range(3 * block.pixels)],
     )
     _, transmittance, colour = dr.while_loop(
-        state, lambda i, transmittance, colour: block.is_active(i, transmittance), blend, mode="symbolic"
+        state, lambda i, transmittance, colour: block.is_active(i, transmittance), step, mode="symbolic"
     )
     pixels = [[*colour[3 * p : 3 * p + 3], 1 - transmittance[p]] for p in range(block.pixels)]
-    side, width, within = bins.grid.side, bins.grid.padded_width, [True]
-    # Rows of pixels, and chunks, above each image and in all.
-    above = np.cumsum([0, *heights]) * side
+    rows, width, within = split.rows, lists.grid.width, [True]
     if len(images) > 1:
-        rows = [arrays.constant(row) for row in above.tolist()]
         within = [(block.y >= top) & (block.y < bottom) for top, bottom in pairwise(rows)]
-    before = [arrays.constant(chunks) if chunks else 0 for chunks in (above[:-1] * (width // 2)).tolist()]
     for target, first in block.chunks(width):
         values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
-        for image, own, start in zip(images, within, before, strict=True):
-            dr.scatter(image, values, target - start, own, mode=dr.ReduceMode.Permute)
+        for image, own, row in zip(images, within, rows[:-1], strict=True):
+            dr.scatter(image, values, target - row * width // 2, own, mode=dr.ReduceMode.Permute)
     dr.eval(images)
     return images
 
 
-def new_images(arrays: Arrays, grid: TileGrid, heights: Sequence[int], make: Callable[..., Any]) -> list[Any]:
-    """Images of so many rows of a grid's tiles, made by `dr.zeros` or `dr.empty`."""
-    row = grid.side * grid.padded_width * CHANNELS
-    return [make(arrays.plain.Float, height * row) for height in heights]
+_blend = Frozen(blend)
 
 
 # Sums per pair: the six moments and the three channels of `_block_sums`. In packets, to which the lanes of a
@@ -122,7 +169,7 @@ def no_sums(arrays: Arrays, splats: Splats) -> list[Any]:
 
 
 def added_sums(
-    arrays: Arrays, splats: Splats, bins: Bins, image: Any, gradient: Any, sums: list[Any]
+    arrays: Arrays, blended: Records, bins: Bins, image: Any, gradient: Any, sums: list[Any]
 ) -> list[Any]:
     """Adds what the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
@@ -134,18 +181,19 @@ def added_sums(
     that lies behind it, gradients are noise of that size.
 
     Args:
-        splats, bins, image: as given to and returned by `rasterize`.
+        blended, bins, image: as given to and returned by `rasterize`.
         gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
             opacity is taken to be zero.
         sums: nine (N,) arrays, over tiles further up, and to the left in the same row.
     """
-    if not dr.width(bins.splat):
+    pairs = bins.lists.pairs
+    if not pairs:
         return sums
-    UInt, in_packets = arrays.plain.UInt, arrays.backend == "llvm"
-    records = blended_records(arrays, splats, bins)
-    shown = Shown(arrays, bins, records) if in_packets else None
+    UInt, in_packets = arrays.plain.UInt, not stays_together(arrays)
+    records = records_of_pairs(blended, bins.lists)
+    shown = Shown(arrays, bins.lists, records) if in_packets else None
     walk = _Walk(arrays, bins, records, image, gradient, shown)
-    slots = [dr.zeros(arrays.plain.Float, p.size * dr.width(bins.splat)) for p in walk.layout.packets]
+    slots = [dr.zeros(arrays.plain.Float, p.size * pairs) for p in walk.layout.packets]
     if in_packets:
         # A vector has four lanes or more and so all those of a tile: two threads never add to a pair.
         lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS)
@@ -187,15 +235,15 @@ class _Walk:
         """Adds what the blocks with a number in the tiles at a position contribute to the sums of pairs."""
         arrays, bins = self.arrays, self.bins
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
-        block = Blocks(arrays, bins, dr.gather(UInt, bins.tiles, position), number)
-        width = bins.grid.padded_width
+        block = Blocks(arrays, bins.lists, dr.gather(UInt, bins.tiles, position), number)
+        width = bins.lists.grid.width
         flow, final = block.loaded(self.gradient, width), block.loaded(self.image, width)
         behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
 
         def step(i: Any, transmittance: list[Any], behind: list[Any], slots: list[Any]) -> tuple[Any, ...]:
             transmittance, behind = list(transmittance), list(behind)
             sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind)
-            self._add(sums, dr.gather(UInt, bins.unsorted, i), slots)
+            self._add(sums, dr.gather(UInt, bins.lists.unsorted, i), slots)
             return following(i + 1), transmittance, behind, slots
 
         def following(i: Any) -> Any:

@@ -10,10 +10,9 @@ from typing import Any
 import drjit as dr
 
 from compose.base.arrays import Arrays
-from splat.raster.binning import MINIMUM_ALPHA, Bins
-from splat.raster.projection import Splats
+from splat.raster.binning import MINIMUM_ALPHA, Lists
 from splat.raster.records import RecordLayout, Records
-from splat.raster.tiles import LANES_ACROSS, TileGrid
+from splat.raster.tiles import LANES_ACROSS, GridNumbers
 
 # A block stops once every pixel transmits less: what lies behind changes them by at most this share of its
 # radiance.
@@ -21,10 +20,6 @@ MINIMUM_TRANSMITTANCE = 1e-4
 # A pixel of the image buffer. Nothing is spare.
 PIXEL = RecordLayout((4,), red=1, green=1, blue=1, opacity=1)
 CHANNELS = 4
-# A splat as the tiles read it: centre, log2 of its alpha at (dx, dy) from there as constant - u^2 - v^2 with
-# u = u_x dx + u_y dy and v = v_y dy, and radiance. One float is spare.
-_BLENDED = RecordLayout((8, 2), x=1, y=1, u_x=1, u_y=1, v_y=1, constant=1, red=1, green=1, blue=1)
-LOG2_E = 1.4426950408889634
 # log2 of the smallest alpha, less what rounding may make of it.
 _UNSEEN = math.log2(MINIMUM_ALPHA) - 0.006
 # What divisors are at least.
@@ -45,27 +40,26 @@ class Blocks:
         first, last: range of each lane in the lists; `last` is exclusive.
     """
 
-    def __init__(self, arrays: Arrays, bins: Bins, tile: Any, number: Any):
+    def __init__(self, arrays: Arrays, lists: Lists, tile: Any, number: Any):
         Float = arrays.plain.Float
         self._arrays, self.number = arrays, number
-        self.side = bins.grid.side // LANES_ACROSS
+        self.side = lists.grid.side // LANES_ACROSS
         self.pixels = self.side**2
-        left, top = first_pixel(arrays, bins.grid, tile)
+        left, top = first_pixel(lists.grid, tile)
         self.x = left + self.number % LANES_ACROSS * self.side
         self.y = top + self.number // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
-        self.first, self.last = bins.list_of(tile)
+        self.first, self.last = lists.of(arrays, tile)
 
     @staticmethod
-    def of_tiles(arrays: Arrays, bins: Bins, everywhere: bool = False) -> Blocks:
-        """A lane per block, the 16 of a tile side by side; `everywhere`: of tiles not rasterized, too."""
-        UInt, grid = arrays.plain.UInt, bins.grid
-        tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
-        lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
+    def of_tiles(arrays: Arrays, lists: Lists, count: int, tiles: Any = None) -> Blocks:
+        """A lane per block, the 16 of a tile side by side, of the first tiles, or of those given."""
+        UInt = arrays.plain.UInt
+        lane = dr.arange(UInt, count * LANES_ACROSS**2)
         tile = lane // LANES_ACROSS**2
-        if not everywhere:
-            tile = dr.gather(UInt, bins.tiles, tile)
-        return Blocks(arrays, bins, tile, lane % LANES_ACROSS**2)
+        if tiles is not None:
+            tile = dr.gather(UInt, tiles, tile)
+        return Blocks(arrays, lists, tile, lane % LANES_ACROSS**2)
 
     def is_active(self, i: Any, transmittance: Sequence[Any]) -> Any:
         """Whether splats are left and any pixel of the block still transmits light."""
@@ -91,15 +85,14 @@ class Blocks:
                 found.append((dr.fma(-u, u, base), u, v))
         return found
 
-    def chunks(self, width: int) -> list[tuple[Any, int]]:
+    def chunks(self, width: Any) -> list[tuple[Any, int]]:
         """Pairs of the block's pixels: position in an image of that width, in pairs, and first pixel."""
-        columns = self._arrays.constant(width)
         return [
-            (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)
+            (((self.y + pixel // self.side) * width + self.x + pixel % self.side) // 2, pixel)
             for pixel in range(0, self.pixels, 2)
         ]
 
-    def loaded(self, image: Any, width: int) -> list[Any]:
+    def loaded(self, image: Any, width: Any) -> list[Any]:
         """Red, green, blue of each pixel of the block, from a flat image of that width in pixels."""
         values: list[Any] = []
         for target, _ in self.chunks(width):
@@ -112,9 +105,9 @@ class Blocks:
 class Shown:
     """Which blocks of a tile show which splats of its list: about a third of them."""
 
-    def __init__(self, arrays: Arrays, bins: Bins, records: Records):
+    def __init__(self, arrays: Arrays, lists: Lists, records: Records):
         self._arrays = arrays
-        self._words = _by_block(arrays, _shown_in(arrays, bins, records), bins)
+        self._words = _by_block(arrays, _shown_in(arrays, lists, records), lists)
 
     def following(self, i: Any, last: Any, number: Any) -> Any:
         """The first pair from `i` on that a block shows; `last` or above where none is left.
@@ -136,10 +129,10 @@ class Shown:
         return i + dr.tzcnt(left)
 
 
-def _by_block(arrays: Arrays, shown: Any, bins: Bins) -> Any:
+def _by_block(arrays: Arrays, shown: Any, lists: Lists) -> Any:
     """From per pair a bit for each of 16 blocks, per 32 pairs and block a bit for each of the pairs."""
     UInt, ArrayXu = arrays.plain.UInt, arrays.plain.ArrayXu
-    pairs, _ = bins.list_of(arrays.constant(bins.grid.columns * bins.grid.rows))
+    pairs, _ = lists.of(arrays, lists.grid.tiles)
     group = dr.arange(UInt, -(-dr.width(shown) // 32))
 
     def step(k: Any, words: list[Any]) -> tuple[Any, list[Any]]:
@@ -157,15 +150,15 @@ def _by_block(arrays: Arrays, shown: Any, bins: Bins) -> Any:
     return table
 
 
-def _shown_in(arrays: Arrays, bins: Bins, records: Records) -> Any:
+def _shown_in(arrays: Arrays, lists: Lists, records: Records) -> Any:
     """(P,) UInt, per pair one bit for each block of the tile: whether the splat may be visible there.
 
     The ellipse in which a splat is visible is cut into bands, one per row of blocks, from the first to the
     last row of pixel centres. A block shows the splat if it meets the part of the ellipse in its band.
     """
-    Float, UInt, side = arrays.plain.Float, arrays.plain.UInt, bins.grid.side // LANES_ACROSS
-    pair = dr.arange(UInt, dr.width(bins.splat))
-    splat, (x, y) = records.at(pair), first_pixel(arrays, bins.grid, bins.tile)
+    Float, UInt, side = arrays.plain.Float, arrays.plain.UInt, lists.grid.side // LANES_ACROSS
+    pair = dr.arange(UInt, lists.pairs)
+    splat, (x, y) = records.at(pair), first_pixel(lists.grid, lists.tile)
     # Of the tile's first pixel centre from the splat's centre; across, in blocks.
     x, y = (Float(x) + 0.5 - splat.x) * (1 / side), Float(y) + 0.5 - splat.y
     level, v_squared = splat.constant - _UNSEEN, dr.square(splat.v_y)
@@ -192,31 +185,17 @@ def _shown_in(arrays: Arrays, bins: Bins, records: Records) -> Any:
     return shown
 
 
-def first_pixel(arrays: Arrays, grid: TileGrid, tile: Any) -> tuple[Any, Any]:
+def first_pixel(grid: GridNumbers, tile: Any) -> tuple[Any, Any]:
     """Column and row of the first pixel of tiles."""
-    columns = arrays.constant(grid.columns)
-    row = tile // columns
-    return (tile - row * columns) * grid.side, row * grid.side
+    row = tile // grid.columns
+    return (tile - row * grid.columns) * grid.side, row * grid.side
 
 
-def packed(arrays: Arrays, splats: Splats) -> Records:
-    """What the tiles read of splats; packed when it is first asked for."""
-    if splats.packed is None:
-        # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
-        u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
-        same = {name: getattr(splats, name) for name in ("x", "y", "red", "green", "blue")}
-        v_y = dr.sqrt(splats.y_precision * (0.5 * LOG2_E))
-        constant = dr.log2(dr.maximum(splats.opacity, 1e-12))
-        u_y = u_x * splats.shear
-        splats.packed = _BLENDED.pack(arrays, **same, u_x=u_x, u_y=u_y, v_y=v_y, constant=constant)
-    return splats.packed
-
-
-def blended_records(arrays: Arrays, splats: Splats, bins: Bins) -> Records:
+def records_of_pairs(blended: Records, lists: Lists) -> Records:
     """The splats' numbers, one record per pair, in the order in which the tiles read them."""
-    per_pair = packed(arrays, splats).gathered(bins.splat)
-    # With the ranges, which no kernel has found yet.
-    dr.eval(per_pair.tables, bins.ranges)
+    per_pair = blended.gathered(lists.splat)
+    # With the ranges, which no kernel may have found yet.
+    dr.eval(per_pair.tables, lists.ranges)
     return per_pair
 
 

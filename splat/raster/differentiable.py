@@ -186,8 +186,8 @@ class _Render(torch.autograd.Function):
         splats = projected.detached()
         dr.eval(splats.__dict__, projected.differentiable())
         grid = TileGrid(camera.width, camera.height)
-        parts = Parts(Candidates(arrays, splats, grid))
-        (image,) = rasterize_parts(arrays, splats, parts)
+        parts = Parts(Candidates.of(arrays, splats, grid))
+        (image,) = rasterize_parts(arrays, parts)
         ctx.state = (arrays, leaves, projected, splats, parts, image)
         # The gradient reads the tensors again: torch refuses to go on if they have changed meanwhile.
         ctx.save_for_backward(*tensors)

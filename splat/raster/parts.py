@@ -16,7 +16,7 @@ import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import Bins, Candidates, TileWindow
-from splat.raster.blending import added_sums, gradients_from_sums, new_images, no_sums, rasterize
+from splat.raster.blending import ImageSplit, added_sums, gradients_from_sums, no_sums, rasterize
 from splat.raster.projection import Splats
 
 # Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
@@ -33,7 +33,7 @@ class Parts:
     """
 
     def __init__(self, candidates: Candidates):
-        self.grid, self._candidates = candidates.grid, candidates
+        self.grid, self.blended, self._candidates = candidates.grid, candidates.found.blended, candidates
         runs = self._candidates.runs(self._candidates.whole)
         # The single part, if it is one.
         self.only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
@@ -63,14 +63,13 @@ class Parts:
             yield from self._lists(half)
 
 
-def rasterize_parts(
-    arrays: Arrays, splats: Splats, parts: Parts, heights: Sequence[int] | None = None
-) -> list[Any]:
+def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None = None) -> list[Any]:
     """Renders linear radiance and opacity, as `rasterize` does."""
     heights = heights or [parts.grid.rows]
-    images = None if parts.only is not None else new_images(arrays, parts.grid, heights, dr.zeros)
+    split = ImageSplit.of(arrays, parts.grid, heights)
+    images = None if parts.only is not None else split.new(arrays, dr.zeros)
     for bins in parts:
-        images = rasterize(arrays, splats, bins, images, heights)
+        images = rasterize(arrays, parts.blended, bins, images, heights)
     assert images is not None
     return images
 
@@ -81,5 +80,5 @@ def rasterize_parts_backward(
     """Nine (N,) gradients by the splats, in the order of `Splats.differentiable`, from that by an image."""
     sums = no_sums(arrays, splats)
     for bins in parts:
-        sums = added_sums(arrays, splats, bins, image, gradient, sums)
+        sums = added_sums(arrays, parts.blended, bins, image, gradient, sums)
     return gradients_from_sums(splats, sums)

@@ -24,7 +24,6 @@ from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC
 from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis, sh_sums
-from splat.raster.records import Records
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
 PIXEL_FILTER = 0.1
@@ -71,7 +70,6 @@ class Splats:
     green: Any
     blue: Any
     depth: Any  # along the view axis; only its order matters
-    packed: Records | None = None  # what tiles read of them, once it is packed (`splat.raster.blocks.packed`)
 
     def differentiable(self) -> list[Any]:
         """All parameters that the rasterizer has gradients for, in the order of declaration."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.base.errors import UserError
 
 # Each tile has 4 x 4 lanes: they fill one AVX-512 vector and half a warp.
@@ -17,6 +19,16 @@ TILE = 16
 _MOST_TILES = 1 << 16
 # Four floats each, and Dr.Jit's arrays have fewer than 2^32 elements.
 _MOST_PIXELS = (1 << 30) - 1
+
+
+@dataclass(frozen=True)
+class GridNumbers:
+    """A grid as kernels read it, UInts of width 1 in memory: the same kernels serve all frames."""
+
+    columns: Any
+    tiles: Any  # columns * rows
+    width: Any  # of all tiles in pixels
+    side: int  # of a tile in pixels
 
 
 @dataclass(frozen=True)
@@ -57,6 +69,11 @@ class TileGrid:
     def padded_height(self) -> int:
         """Height of all tiles in pixels."""
         return self.rows * self.side
+
+    def numbers(self, arrays: Arrays) -> GridNumbers:
+        """The grid on the device."""
+        sizes = self.columns, self.columns * self.rows, self.padded_width
+        return GridNumbers(*map(arrays.constant, sizes), self.side)
 
     def mask(self, wanted: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
         """(rows, columns) the wanted tiles; None stands for all.

@@ -1,4 +1,4 @@
-"""Frozen functions give what the functions give, and survive other threads and the garbage collector."""
+"""FrozenWithScenes functions give what the functions give, and survive other threads and the garbage collector."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import pytest
 
-from pathtrace.trace.frozen import Frozen
+from pathtrace.trace.frozen import FrozenWithScenes
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -65,7 +65,7 @@ def assert_alike(found: Any, expected: Any) -> None:
 
 
 def test_a_frozen_function_gives_what_the_function_gives():
-    frozen = Frozen(mixed)
+    frozen = FrozenWithScenes(mixed)
     # The second call replays the first one's recording with other numbers.
     for width in (100, 50):
         given = *arguments(width), 5
@@ -75,7 +75,7 @@ def test_a_frozen_function_gives_what_the_function_gives():
 
 def test_results_are_told_apart_by_types_and_values():
     """Where two arguments hold the same arrays but differ in structure, each has its own recording."""
-    frozen = Frozen(lambda value: [type(value), value])
+    frozen = FrozenWithScenes(lambda value: [type(value), value])
     array = dr.opaque(mi.Float, 2)
     values = [[array, array], (array, array), Pair(array, array), Swapped(array, array), {"a": array}, array]
     for _ in range(2):
@@ -94,7 +94,7 @@ def test_scenes_and_interactions_pass_as_they_are():
         other = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, -1), hits.other))
         return Pair(other, hits.one.t + other.t)
 
-    frozen, drjits_own = Frozen(depth), dr.freeze(depth)
+    frozen, drjits_own = FrozenWithScenes(depth), dr.freeze(depth)
     for width in (64, 128, 192):
         direction = mi.Vector3f(dr.linspace(mi.Float, 0, 0.3, width), 0, 1)
         hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, -1), direction))
@@ -115,7 +115,7 @@ def distance_in(scene: Any, x: Any) -> Any:
 
 def test_other_scenes_in_memory_change_nothing():
     scene = mi.load_dict(small.corner())
-    frozen = Frozen(distance_in)
+    frozen = FrozenWithScenes(distance_in)
     x = dr.linspace(mi.Float, 0, 0.3, 64)
     dr.eval(x)
     expected = frozen(scene, x)
@@ -123,7 +123,7 @@ def test_other_scenes_in_memory_change_nothing():
     assert_alike(frozen(scene, x), expected)
     assert frozen._recorded.n_recordings == 1
     # Recorded with another scene in memory, whose methods are in the kernel then.
-    late = Frozen(distance_in)
+    late = FrozenWithScenes(distance_in)
     assert_alike(late(scene, x), expected)
     del other
     assert_alike(late(scene, x), expected)
@@ -137,7 +137,7 @@ def test_other_scenes_in_memory_change_nothing():
 def test_a_function_follows_its_scene():
     """What is replaced in a scene is read by the recording that there is; constants are compiled in."""
     scene = mi.load_dict(small.corner())
-    frozen = Frozen(distance_in)
+    frozen = FrozenWithScenes(distance_in)
     x = dr.linspace(mi.Float, 0, 0.3, 64)
     dr.eval(x)
     parameters = mi.traverse(scene)
@@ -157,7 +157,7 @@ def test_scenes_are_told_apart():
     for key in [key for key in parameters.properties if key.endswith("reflectance.value")]:
         parameters[key] = type(parameters[key])(0.125)
     parameters.update()
-    frozen = Frozen(distance_in)
+    frozen = FrozenWithScenes(distance_in)
     x = dr.linspace(mi.Float, 0, 0.3, 64)
     dr.eval(x)
     for scene in (first, second, first, second):
@@ -171,7 +171,7 @@ def test_the_collector_runs_after_an_error():
 
     # Dr.Jit makes it the cause of an error of its own.
     with pytest.raises(RuntimeError, match="recording"):
-        Frozen(failing)(mi.Float([1, 2]))
+        FrozenWithScenes(failing)(mi.Float([1, 2]))
     assert gc.isenabled()
 
 
@@ -180,7 +180,7 @@ def test_an_owner_can_be_collected():
 
     class Owner:
         def __init__(self) -> None:
-            self.run = Frozen(self.doubled)
+            self.run = FrozenWithScenes(self.doubled)
 
         def doubled(self, value: Pair) -> Pair:
             return Pair(value.one * 2, value.other)
@@ -204,7 +204,7 @@ import gc, sys, threading
 from pathtrace.scene.backend import select_backend
 select_backend("llvm")
 import drjit as dr, mitsuba as mi
-from pathtrace.trace.frozen import Frozen
+from pathtrace.trace.frozen import FrozenWithScenes
 from tests import small
 """
 
@@ -215,7 +215,7 @@ def test_another_thread_may_free_arrays_meanwhile():
 from tests.pathtrace.trace.test_frozen import Pair
 # Threads take turns far more often than usual.
 sys.setswitchinterval(1e-6)
-frozen = Frozen(lambda pairs: [Pair(pair.other, pair.one + 1) for pair in pairs])
+frozen = FrozenWithScenes(lambda pairs: [Pair(pair.other, pair.one + 1) for pair in pairs])
 pairs = [Pair(mi.Float([1, 2]), mi.Float([3, 4])) for _ in range(20)]
 over = threading.Event()
 
@@ -260,7 +260,7 @@ def recorded(scene, x):
 
 gc.collect()
 gc.set_threshold(100, 1, 1)
-print(Frozen(recorded)(scene, mi.Float([0, 0.01])))
+print(FrozenWithScenes(recorded)(scene, mi.Float([0, 0.01])))
 litter = [[] for _ in range(5000)]
 print(*order)
 """

@@ -6,9 +6,10 @@ import drjit as dr
 import numpy as np
 import torch
 
-from splat.raster.binning import Bins, Candidates
-from splat.raster.blending import added_sums, gradients_from_sums, no_sums
+from splat.raster.binning import Bins, Candidates, TileBounds, boxed, depth_order
+from splat.raster.blending import added_sums, gradients_from_sums, no_sums, rasterize
 from splat.raster.projection import Splats
+from splat.raster.tiles import TileGrid
 from tests.splat.raster import reference
 
 NAMES = ("x", "y", "x_precision", "shear", "y_precision", "opacity", "red", "green", "blue", "depth")
@@ -82,14 +83,33 @@ def blended(leaves: dict[str, torch.Tensor], width: int, height: int) -> torch.T
     return reference.blend(splats, width, height)
 
 
+def candidates_of(arrays, splats: Splats, grid, wanted=None, bounds=None, in_order=False) -> Candidates:
+    """Candidates of splats, each confined to some tiles, and in order from near to far or not."""
+    UInt = arrays.plain.UInt
+    bounds = bounds or TileBounds(UInt(grid.columns), UInt(0), UInt(grid.rows))
+    found = boxed(arrays, splats, bounds, grid.side, dr.width(splats.x))
+    return Candidates(
+        arrays, found, grid, wanted, None if in_order else depth_order(arrays, splats.depth, found.count > 0)
+    )
+
+
 def bin_splats(*given, **settings) -> Bins:
-    """The lists of all tiles at once, from what `Candidates` takes."""
-    candidates = Candidates(*given, **settings)
+    """The lists of all tiles at once, from what `candidates_of` takes."""
+    candidates = candidates_of(*given, **settings)
     return candidates.bins(candidates.runs(candidates.whole))
+
+
+def rasterized(arrays, splats: Splats, bins: Bins, *given) -> list:
+    """Images of splats from the lists of all tiles at once."""
+    return rasterize(arrays, blended_records(arrays, splats), bins, *given)
+
+
+def blended_records(arrays, splats: Splats):
+    """What tiles read of splats."""
+    return candidates_of(arrays, splats, TileGrid(1, 1)).found.blended
 
 
 def rasterize_backward(arrays, splats: Splats, bins: Bins, image, gradient) -> list:
     """Gradients by the splats from the lists of all tiles at once."""
-    return gradients_from_sums(
-        splats, added_sums(arrays, splats, bins, image, gradient, no_sums(arrays, splats))
-    )
+    blended, sums = blended_records(arrays, splats), no_sums(arrays, splats)
+    return gradients_from_sums(splats, added_sums(arrays, blended, bins, image, gradient, sums))

@@ -16,7 +16,7 @@ GRID = TileGrid(90, 70)
 def lists(bins: Bins) -> dict[int, list[int]]:
     """The splats of each tile that has any, in order."""
     # The last range holds the pairs that no tile blends.
-    (start, end), splat = bins.ranges.numpy().reshape(-1, 2)[:-1].T, bins.splat.numpy()
+    (start, end), splat = bins.lists.ranges.numpy().reshape(-1, 2)[:-1].T, bins.lists.splat.numpy()
     return {t: splat[s:e].tolist() for t, (s, e) in enumerate(zip(start, end, strict=True)) if e > s}
 
 
@@ -107,9 +107,11 @@ def test_runs_name_the_pairs_of_each_splat(arrays):
     for o, f, c in zip(owner, first, count, strict=True):
         assert (run_of[f : f + c] == -1).all()
         run_of[f : f + c] = o
-    unsorted, splat = bins.unsorted.numpy(), bins.splat.numpy()
+    unsorted, splat = bins.lists.unsorted.numpy(), bins.lists.splat.numpy()
     assert sorted(unsorted.tolist()) == list(range(len(unsorted)))
-    np.testing.assert_array_equal(run_of[unsorted], splat)
+    # Behind the candidates, nothing is blended.
+    assert (unsorted[: bins.pairs] < len(run_of)).all()
+    np.testing.assert_array_equal(run_of[unsorted[: bins.pairs]], splat[: bins.pairs])
 
 
 @pytest.mark.parametrize(
@@ -145,7 +147,7 @@ def test_nothing_wanted_gives_empty_lists(arrays):
     splats = random_splats(arrays, 10, 90, 70)
     bins = bin_splats(arrays, splats, GRID, np.zeros((GRID.rows, GRID.columns), dtype=bool))
     assert bins.pairs == 0
-    start, end = bins.ranges.numpy().reshape(-1, 2).T
+    start, end = bins.lists.ranges.numpy().reshape(-1, 2).T
     assert (start == end).all()
     assert len(start) == GRID.rows * GRID.columns + 1
 

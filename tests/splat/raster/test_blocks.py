@@ -14,18 +14,19 @@ from splat.raster.blocks import (
     Blocks,
     Shown,
     _shown_in,
-    blended_records,
     exp2,
+    records_of_pairs,
 )
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import bin_splats, doubles, exponent, random_splats
+from tests.splat.raster.splats import bin_splats, blended_records, doubles, exponent, random_splats
 
 
 def blocks_of(arrays, side: int, wanted: np.ndarray | None = None):
     grid = TileGrid(90, 70, side)
     splats = random_splats(arrays, 100, 90, 70)
     bins = bin_splats(arrays, splats, grid, wanted)
-    return Blocks.of_tiles(arrays, bins), bins, splats
+    given = None if wanted is None else bins.tiles
+    return Blocks.of_tiles(arrays, bins.lists, dr.width(bins.tiles), given), bins, splats
 
 
 @pytest.mark.parametrize("side", [8, 16])
@@ -61,7 +62,7 @@ def test_lanes_walk_the_list_of_their_tile(arrays):
     block, bins, _ = blocks_of(arrays, 16)
     tile = (block.y.numpy() // 16) * bins.grid.columns + block.x.numpy() // 16
     ranges = np.stack([block.first.numpy(), block.last.numpy()], axis=1)
-    np.testing.assert_array_equal(ranges, bins.ranges.numpy().reshape(-1, 2)[tile])
+    np.testing.assert_array_equal(ranges, bins.lists.ranges.numpy().reshape(-1, 2)[tile])
 
 
 @pytest.mark.parametrize("side", [8, 16])
@@ -69,8 +70,8 @@ def test_alphas_are_those_of_the_ellipse(arrays, side):
     """2^(log2 alpha) is opacity exp(-q / 2) at each pixel centre, for the first splat of each list."""
     block, bins, splats = blocks_of(arrays, side)
     first = block.first.numpy()
-    record = blended_records(arrays, splats, bins).at(block.first)
-    s = {name: row[bins.splat.numpy()[first]] for name, row in doubles(splats).items()}
+    record = records_of_pairs(blended_records(arrays, splats), bins.lists).at(block.first)
+    s = {name: row[bins.lists.splat.numpy()[first]] for name, row in doubles(splats).items()}
     for pixel, (power, u, v) in enumerate(block.log2_alphas(record)):
         row, column = divmod(pixel, block.side)
         dx, dy = block.x.numpy() + column + 0.5 - s["x"], block.y.numpy() + row + 0.5 - s["y"]
@@ -83,8 +84,10 @@ def test_alphas_are_those_of_the_ellipse(arrays, side):
 
 def test_records_follow_the_lists(arrays):
     _, bins, splats = blocks_of(arrays, 16)
-    record = blended_records(arrays, splats, bins).at(dr.arange(arrays.plain.UInt, bins.pairs))
-    order = bins.splat.numpy()[: bins.pairs]
+    record = records_of_pairs(blended_records(arrays, splats), bins.lists).at(
+        dr.arange(arrays.plain.UInt, bins.pairs)
+    )
+    order = bins.lists.splat.numpy()[: bins.pairs]
     for name in ("x", "y", "red", "green", "blue"):
         np.testing.assert_array_equal(getattr(record, name).numpy(), getattr(splats, name).numpy()[order])
 
@@ -117,8 +120,10 @@ def test_blocks_show_a_splat_where_a_pixel_does(arrays, side):
     grid = TileGrid(90, 70, side)
     splats = random_splats(arrays, 300, 90, 70)
     bins = bin_splats(arrays, splats, grid)
-    found = _shown_in(arrays, bins, blended_records(arrays, splats, bins)).numpy()
-    (start, end), splat = bins.ranges.numpy().reshape(-1, 2).T, bins.splat.numpy()
+    found = _shown_in(
+        arrays, bins.lists, records_of_pairs(blended_records(arrays, splats), bins.lists)
+    ).numpy()
+    (start, end), splat = bins.lists.ranges.numpy().reshape(-1, 2).T, bins.lists.splat.numpy()
     values, seen, drawn, in_vain = doubles(splats), 0, 0, 0
     for tile in range(grid.columns * grid.rows):
         x, y = (np.arange(side) + 0.5 + side * k for k in (tile % grid.columns, tile // grid.columns))
@@ -139,12 +144,14 @@ def test_blocks_show_a_splat_where_a_pixel_does(arrays, side):
 @pytest.mark.parametrize("side", [8, 16])
 def test_lanes_jump_to_what_their_block_shows(arrays, side):
     block, bins, splats = blocks_of(arrays, side)
-    records = blended_records(arrays, splats, bins)
-    bits = _shown_in(arrays, bins, records).numpy()
+    records = records_of_pairs(blended_records(arrays, splats), bins.lists)
+    bits = _shown_in(arrays, bins.lists, records).numpy()
     first, last, number = (row.numpy() for row in (block.first, block.last, block.number))
     # From each end of a list, and from one in its midst.
     for start in (first, (first + last) // 2, last):
-        found = Shown(arrays, bins, records).following(arrays.plain.UInt(start), block.last, block.number)
+        found = Shown(arrays, bins.lists, records).following(
+            arrays.plain.UInt(start), block.last, block.number
+        )
         for lane, pair in enumerate(found.numpy()):
             shown = start[lane] + np.flatnonzero(bits[start[lane] : last[lane]] >> number[lane] & 1)
             assert pair == shown[0] if len(shown) else pair >= last[lane]

@@ -374,7 +374,7 @@ def test_a_needle_keeps_its_extent(each_arrays, got, deviation):
     needle = one(log_scale=np.log([deviation / 250, 1e-4, 1e-4]), rotation=DIAGONAL, logit=3.0)
     projected = project(parameters_from(each_arrays, needle), camera, 0.1).detached()
     bins = bin_splats(each_arrays, projected, TileGrid(side, side))
-    start, end = bins.ranges.numpy().reshape(-1, 2)[:-1].T
+    start, end = bins.lists.ranges.numpy().reshape(-1, 2)[:-1].T
     columns = bins.tiles.numpy()[end > start] % bins.grid.columns
     splats = reference.project(reference.double(needle), camera, 0.1)
     level = 2 * np.log(255 * float(splats["opacity"][0]))

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from splat.raster import parts as parts_module
-from splat.raster.binning import Candidates, TileBounds
-from splat.raster.blending import rasterize
+from splat.raster.binning import TileBounds
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme
-from tests.splat.raster.splats import bin_splats, random_splats, rasterize_backward, round_splats
+from tests.splat.raster.splats import (
+    bin_splats,
+    candidates_of,
+    random_splats,
+    rasterize_backward,
+    rasterized,
+    round_splats,
+)
 
 GRID = TileGrid(90, 70)
 
@@ -44,13 +50,13 @@ def flow(arrays):
 def test_parts_have_the_bits_of_one_pass(each_arrays, got, at_once, pairs):
     splats, gradient = random_splats(each_arrays, 300, 90, 70), flow(each_arrays)
     bins = bin_splats(each_arrays, splats, GRID)
-    (image,) = rasterize(each_arrays, splats, bins)
+    (image,) = rasterized(each_arrays, splats, bins)
     expected = rasterize_backward(each_arrays, splats, bins, image, gradient)
     at_once(pairs)
-    parts = Parts(Candidates(each_arrays, splats, GRID))
+    parts = Parts(candidates_of(each_arrays, splats, GRID))
     # A single row of tiles has more than 150 of them, a single tile more than one.
     assert got(len(list(parts))) >= {1000: 2, 150: 8, 1: GRID.rows * GRID.columns}[pairs]
-    np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts)[0].numpy(), image.numpy())
+    np.testing.assert_array_equal(rasterize_parts(each_arrays, parts)[0].numpy(), image.numpy())
     found = rasterize_parts_backward(each_arrays, splats, parts, image, gradient)
     for part, whole in zip(found, expected, strict=True):
         np.testing.assert_array_equal(part.numpy(), whole.numpy())
@@ -60,12 +66,12 @@ def test_parts_follow_one_another_and_are_small(each_arrays, at_once):
     at_once(100)
     splats = random_splats(each_arrays, 300, 90, 70)
     every = bin_splats(each_arrays, splats, GRID)
-    lists = list(Parts(Candidates(each_arrays, splats, GRID)))
+    lists = list(Parts(candidates_of(each_arrays, splats, GRID)))
     tiles = np.concatenate([bins.tiles.numpy() for bins in lists])
     np.testing.assert_array_equal(tiles, np.arange(GRID.rows * GRID.columns))
     assert sum(bins.pairs for bins in lists) == every.pairs
     # Each list is kept to the bound, but that of a single tile.
-    assert all(len(bins.splat.numpy()) <= 100 or len(bins.tiles.numpy()) == 1 for bins in lists)
+    assert all(bins.count.numpy().sum() <= 100 or len(bins.tiles.numpy()) == 1 for bins in lists)
 
 
 def test_wanted_tiles_and_bounds_hold_in_parts(each_arrays, at_once):
@@ -73,21 +79,21 @@ def test_wanted_tiles_and_bounds_hold_in_parts(each_arrays, at_once):
     wanted = np.random.default_rng(0).random((GRID.rows, GRID.columns)) < 0.5
     UInt = each_arrays.plain.UInt
     bounds = TileBounds(UInt([4]), UInt([1]), UInt([4]))
-    (whole,) = rasterize(
+    (whole,) = rasterized(
         each_arrays, splats, bin_splats(each_arrays, splats, GRID, wanted, bounds, in_order=True)
     )
     at_once(40)
-    parts = Parts(Candidates(each_arrays, splats, GRID, wanted, bounds, in_order=True))
+    parts = Parts(candidates_of(each_arrays, splats, GRID, wanted, bounds, in_order=True))
     assert len(list(parts)) > 3
-    np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts)[0].numpy(), whole.numpy())
+    np.testing.assert_array_equal(rasterize_parts(each_arrays, parts)[0].numpy(), whole.numpy())
     assert whole.numpy().any()
 
 
 def test_nothing_to_draw_is_black(each_arrays, at_once):
     at_once(0)
     splats = round_splats(each_arrays, [(8.0, 8.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)])
-    parts = Parts(Candidates(each_arrays, splats, GRID))
-    (image,) = rasterize_parts(each_arrays, splats, parts)
+    parts = Parts(candidates_of(each_arrays, splats, GRID))
+    (image,) = rasterize_parts(each_arrays, parts)
     assert not image.numpy().any()
     gradients = rasterize_parts_backward(each_arrays, splats, parts, image, flow(each_arrays))
     assert not any(gradient.numpy().any() for gradient in gradients)
@@ -102,8 +108,8 @@ def test_more_pairs_than_32_bits_are_counted(each_arrays, got, at_once):
     at_once(1_000_000)
     grid = TileGrid(32_768, 16_384)
     splats = round_splats(each_arrays, [(16_384.0, 8_192.0, 1e5, 0.9, 1.0, 1.0, 1.0, 1.0)] * 2200)
-    candidates = Candidates(each_arrays, splats, grid)
+    candidates = candidates_of(each_arrays, splats, grid)
     assert got(candidates.runs(candidates.whole).pairs) == 2200 * 2048 * 1024 > 2**32
-    first = next(iter(Parts(Candidates(each_arrays, splats, grid))))
+    first = next(iter(Parts(candidates_of(each_arrays, splats, grid))))
     assert got(first.pairs) <= 1_000_000
     assert first.pairs == 2200 * len(first.tiles.numpy())

@@ -1,0 +1,101 @@
+"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import drjit as dr
+
+from compose.base.collector import collector_paused
+
+# Recordings that a function may have before Dr.Jit takes them for a mistake.
+_MANY = 1000
+# Sizes per octave that arrays are rounded up to, and the least one.
+_PER_OCTAVE, _LEAST = 4, 1024
+
+
+def capacity(count: int) -> int:
+    """A size of an array for so many elements, at most a fifth too large: recordings differ by size.
+
+    What is recorded has the sizes of its first call, so these may only depend on what tells recordings apart.
+    Lanes beyond the elements are masked.
+    """
+    if count <= _LEAST:
+        return _LEAST
+    return 16 * math.ceil(2 ** (math.ceil(_PER_OCTAVE * math.log2(count)) / _PER_OCTAVE) / 16)
+
+
+class Passed:
+    """An argument that says what stands for it in a recording.
+
+    Attributes:
+        flat: its type and itself, and values for Dr.Jit.
+        value: what the function gets.
+    """
+
+    flat: tuple[Any, ...]
+    value: Any
+
+
+class Frozen:
+    """`dr.freeze` without two ways in which it stops or aborts the process (Dr.Jit 1.5).
+
+    Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
+    in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
+    one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
+    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile.
+
+    What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
+    it writes to must be made inside it: others are copied.
+
+    Args:
+        function: takes and returns Dr.Jit arrays, Mitsuba's types, and dataclasses, tuples, lists and dicts
+            of them, nested in any way. A dataclass must be made by its fields. Other values are part of the
+            recording; their hash must not run Python code either.
+    """
+
+    def __init__(self, function: Callable[..., Any]):
+        self._function = function
+        self._recorded = dr.freeze(self._plain, warn_after=_MANY)
+
+    def __call__(self, *arguments: Any) -> Any:
+        with collector_paused():
+            return rebuilt(self.replayed(arguments))
+
+    def replayed(self, arguments: tuple[Any, ...]) -> Any:
+        """The flattened result; the collector is paused."""
+        return self._recorded(flattened(arguments))
+
+    def _plain(self, arguments: Any) -> Any:
+        """The function from flattened arguments to a flattened result; frozen."""
+        return flattened(self._function(*rebuilt(arguments)))
+
+
+def flattened(value: Any) -> Any:
+    """Dataclasses, tuples and lists as tuples that start with their type, by which recordings differ."""
+    kind = type(value)
+    if isinstance(value, Passed):
+        return value.flat
+    if is_dataclass(kind):
+        return (kind, *(flattened(getattr(value, field.name)) for field in fields(kind)))
+    if kind in (tuple, list):
+        return (kind, *map(flattened, value))
+    return {key: flattened(part) for key, part in value.items()} if kind is dict else value
+
+
+def rebuilt(value: Any) -> Any:
+    """What was flattened."""
+    if type(value) is dict:
+        return {key: rebuilt(part) for key, part in value.items()}
+    if type(value) is not tuple:
+        return value
+    kind, *parts = value
+    if issubclass(kind, Passed):
+        return parts[0].value
+    whole = map(rebuilt, parts)
+    if kind in (tuple, list):
+        return kind(whole)
+    return kind(**{field.name: part for field, part in zip(fields(kind), whole, strict=True)})
