@@ -61,13 +61,13 @@ class Arrays:
         """Flat tensor of an array's elements; shares the memory on the CPU."""
         return dr.detach(array, preserve_type=False).torch().to(device)
 
-    def concatenated(self, parts: Sequence[Any]) -> Any:
-        """Concatenates arrays of one type.
+    def concatenated(self, parts: Sequence[Any], size: int) -> Any:
+        """Concatenates arrays of one type; behind them, any numbers, up to a size.
 
         Unlike `dr.concat`, which compiles a kernel for every combination of widths.
         """
         kind, widths = type(parts[0]), [dr.width(part) for part in parts]
-        result, start = dr.empty(kind, sum(widths)), 0
+        result, start = dr.empty(kind, size), 0
         for part, width in zip(parts, widths, strict=True):
             # Dr.Jit refuses arithmetic with arrays of width 0.
             if width:

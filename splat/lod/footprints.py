@@ -153,10 +153,11 @@ class ForestFootprints:
             self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
 
-    def footprints(self, index: Any) -> Footprints:
-        """Those at an index (M,) among all of them."""
+    @property
+    def records(self) -> Records:
+        """All of them, as the layers that were asked for last have them."""
         assert self._records is not None
-        return Footprints(**vars(self._records.at(index)))
+        return self._records
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> Records | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates."""

@@ -20,12 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
+from compose.base.frozen import Frozen, capacity
 from compose.camera.camera import Camera
-from splat.lod.compositing import composite
+from splat.lod.compositing import Mixture, composite, composited
 from splat.lod.footprints import ForestFootprints
 from splat.lod.layer_images import (
     NYQUIST,
     AtlasEntry,
+    AtlasPart,
     Lattice,
     LayerImage,
     Mask,
@@ -36,18 +38,22 @@ from splat.lod.layer_images import (
     covered_cells,
     pack_atlas,
 )
-from splat.lod.node_selection import EntryTable, touching
+from splat.lod.node_selection import EntryTable, chosen
 from splat.model.forest import Forest
-from splat.raster.binning import Candidates, TileBounds
-from splat.raster.blocks import CHANNELS, packed
-from splat.raster.parts import Parts, rasterize_parts
-from splat.raster.projection import PIXEL_FILTER, Splats, filtered
-from splat.raster.tiles import TILE, TileGrid
+from splat.raster.binning import Candidates, TileBounds, boxed, lists, run_lengths
+from splat.raster.blending import ImageSplit, blend, jumps
+from splat.raster.blocks import CHANNELS
+from splat.raster.parts import PAIRS_AT_ONCE, Parts, rasterize_parts
+from splat.raster.projection import PIXEL_FILTER, Footprints, Splats, filtered
+from splat.raster.records import Records
+from splat.raster.tiles import TILE, GridNumbers, TileGrid
 
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
 # Images of so many tiles have too few lanes to go round: theirs get a quarter of the pixels.
 _FEW_TILES, _FINE_SPLIT = 64, 2
+# Heights of images are rounded up so that a frame has about so many: recordings differ by height.
+_HEIGHTS = 8
 # Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
 _WIDEST_BLUR = 1e9
 
@@ -86,21 +92,19 @@ class ForestRenderer:
         images = [image for image in images if bool((image.weight > 0).any())]
         own, alone = _largest_alone(images, wanted)
         # All share one list of splats; each of the three has its own image, one above the other.
-        own_entries = [] if own is None else pack_atlas([own], alone)
-        rows = sum(len(entry.tile_rows) for entry in own_entries)
-        below = [] if under is None or not under.cells.any() else [under.entry(rows * TILE)]
-        rows += sum(len(entry.tile_rows) for entry in below)
+        parts, step = [], max(1, len(wanted) // _HEIGHTS)
+        if own is not None:
+            parts.append(AtlasPart.of(pack_atlas([own], alone), step))
+        if under is not None and under.cells.any():
+            parts.append(AtlasPart.of([under.entry(_rows_of(parts))], step))
         # The cells in which images are drawn at a lower rate or mixed.
-        mixed = pack_atlas(images, wanted & ~alone, rows * TILE)
-        groups = [group for group in (own_entries, below, mixed) if group]
-        drawn = iter(self._drawn(camera, groups, cutoff))
-        black = black_image(self.arrays, camera)
-        frame = next(drawn) if own_entries else None
-        beneath = next(drawn) if below else black
+        mixed = pack_atlas(images, wanted & ~alone, _rows_of(parts))
         if mixed:
-            placed = [replace(entry, top=entry.top - rows * TILE) for entry in mixed]
-            frame = composite(self.arrays, placed, next(drawn), camera, frame)
-        return frame or black, beneath
+            parts.append(AtlasPart.of(mixed, step))
+        drawn = self._drawn(camera, parts, cutoff, mixes=bool(mixed), over=own is not None)
+        black = black_image(self.arrays, camera)
+        frame = drawn.pop(0) if own is not None or mixed else black
+        return frame, drawn[0] if drawn else black
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
@@ -110,46 +114,61 @@ class ForestRenderer:
         """
         grid = TileGrid(camera.width, camera.height)
         image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
-        entries = pack_atlas([image], grid.mask(None))
-        (samples,) = self._drawn(camera, [entries], NYQUIST * image.weight, rate)
+        part = AtlasPart.of(pack_atlas([image], grid.mask(None)))
+        (samples,) = self._drawn(camera, [part], NYQUIST * image.weight, rate)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
     def _drawn(
-        self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice, rate: int = 0
+        self,
+        camera: Camera,
+        parts: Sequence[AtlasPart],
+        cutoff: Lattice,
+        rate: int = 0,
+        mixes: bool = False,
+        over: bool = False,
     ) -> list[SplatImage]:
-        """An image of each group of entries, which lie one above the other, from the top down.
+        """An image of each part, which lie one above the other, from the top down.
 
         All count the nodes of all; they are black images of the frame's size if no node shows in any entry.
-        `rate` is the finest that entries may have.
+        If it `mixes`, the last part is composited: into the first image if it lies `over` that, or into one
+        that comes before all. `rate` is the finest that entries may have.
         """
-        entries = [entry for group in groups for entry in group]
+        arrays, entries = self.arrays, [entry for part in parts for entry in part.entries]
         self._check(entries, cutoff)
-        black = [black_image(self.arrays, camera) for _ in groups]
         table = self._table(camera, entries, cutoff) if entries else None
+        black = [black_image(arrays, camera) for _ in parts[mixes and over :]]
         if table is None:
             return black
-        chosen = dr.compress(touching(self.arrays, table, self._footprints.footprints))
-        if not dr.width(chosen):
+        footprints = self._footprints.records
+        found, end = _chosen(arrays, table, footprints)
+        # Here, the host waits.
+        nodes = int(end[table.capacity - 1])
+        if not nodes:
             return black
-        rows, columns = entries[-1].tile_rows.stop, max(entry.tiles.shape[1] for entry in entries)
-        mask = np.zeros((rows, columns), dtype=bool)
-        for entry in entries:
-            mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
+        columns, mask = max(entry.tiles.shape[1] for entry in entries), _tiles_of(parts)
         # So many tiles of the rasterizer lie along the side of one of the atlas.
         shown = TileGrid(max(1, camera.width >> rate), max(1, camera.height >> rate))
         split = _FINE_SPLIT if shown.columns * shown.rows <= _FEW_TILES else 1
-        grid = TileGrid(columns * TILE, rows * TILE, TILE // split)
+        grid = TileGrid(columns * TILE, len(mask) * TILE, TILE // split)
+        sizes = arrays.constant(nodes), capacity(nodes), split
+        splats, *runs = _splats(arrays, table, footprints, found, *sizes)
         mask = mask.repeat(split, axis=0).repeat(split, axis=1)
-        splats, bounds = self._splats(table, chosen, split)
-        # Packed together with the boxes that the lists are made of: that is one kernel.
-        packed(self.arrays, splats)
-        parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
-        heights = [split * sum(len(entry.tile_rows) for entry in group) for group in groups]
-        images = rasterize_parts(self.arrays, splats, parts, heights)
-        shape = camera.width, camera.height, grid.padded_width, CHANNELS
+        heights = [split * part.height for part in parts]
+        mixture = None
+        if mixes:
+            top = _rows_of(parts[:-1])
+            placed = [replace(entry, top=entry.top - top) for entry in parts[-1].entries]
+            mixture = Mixture.of(arrays, placed, grid.padded_width, camera)
+        images = _drawn_images(
+            arrays, Candidates(arrays, splats, grid, mask, None, runs), heights, mixture, over
+        )
+        size, firsts = (camera.width, camera.height), [part.entries[0].first_row * TILE for part in parts]
+        shapes = [(grid.padded_width, CHANNELS, first) for first in firsts]
+        if mixes:
+            shapes = shapes[:-1] if over else [(TileGrid(*size).padded_width, 3, 0), *shapes[:-1]]
         return [
-            SplatImage(self.arrays, image, *shape, group[0].first_row * TILE, dr.width(chosen))
-            for image, group in zip(images, groups, strict=True)
+            SplatImage(arrays, image, *size, *shape, nodes)
+            for image, shape in zip(images, shapes, strict=True)
         ]
 
     def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice) -> None:
@@ -175,20 +194,82 @@ class ForestRenderer:
         nodes = self._footprints.layers(camera, widest, [entry.image.layer for entry in entries])
         if not any(map(len, nodes)):
             return None
-        return EntryTable(self.arrays, entries, nodes, blurs, cutoff)
+        return EntryTable.of_entries(self.arrays, entries, nodes, blurs, cutoff)
 
-    def _splats(self, table: EntryTable, chosen: Any, split: int) -> tuple[Splats, TileBounds]:
-        """The chosen candidates in samples of the atlas, and the tiles they are confined to.
 
-        `split` tiles of the rasterizer lie along the side of one of the atlas.
-        """
-        entry, node = table.of(chosen)
-        raw = self._footprints.footprints(node)
-        # Fov-GS's Eq. 8, corrected: variance c (ppd / 2f)^2 px^2.
-        resolved = 0.5 / table.cutoff(entry, raw.x, raw.y)
-        splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
-        bounds = TileBounds(entry.columns * split, entry.top * split, entry.bottom * split)
-        return _in_samples(splats, entry.scale, entry.offset), bounds
+def _rows_of(parts: Sequence[AtlasPart]) -> int:
+    """Rows of samples that parts of an atlas take."""
+    return TILE * sum(part.height for part in parts)
+
+
+def _tiles_of(parts: Sequence[AtlasPart]) -> Mask:
+    """(rows, columns) the tiles of an atlas that are drawn."""
+    entries = [entry for part in parts for entry in part.entries]
+    columns = max(entry.tiles.shape[1] for entry in entries)
+    mask = np.zeros((sum(part.height for part in parts), columns), dtype=bool)
+    for entry in entries:
+        mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
+    return mask
+
+
+def splats_of_candidates(
+    arrays: Arrays, table: EntryTable, footprints: Records, found: Any, count: Any, size: int, split: int
+) -> tuple[Any, ...]:
+    """Candidates in samples of the atlas, boxed for its tiles, and their `run_lengths`.
+
+    Args:
+        found: (N,) numbers of the candidates, of which the first `count` are drawn.
+        size: of the result, at least that.
+        split: tiles of the rasterizer along the side of one of the atlas.
+    """
+    lane = dr.arange(arrays.plain.UInt, size)
+    known = lane < count
+    entry, node = table.of(dr.gather(arrays.plain.UInt, found, lane, known))
+    raw = Footprints(**vars(footprints.at(node)))
+    # Fov-GS's Eq. 8, corrected: variance c (ppd / 2f)^2 px^2.
+    resolved = 0.5 / table.cutoff(entry, raw.x, raw.y)
+    splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
+    splats.opacity = dr.select(known, splats.opacity, 0)
+    bounds = TileBounds(entry.columns * split, entry.top * split, entry.bottom * split)
+    result = boxed(arrays, _in_samples(splats, entry.scale, entry.offset), bounds, TILE // split, size)
+    return result, *run_lengths(arrays, result.count, None, size)
+
+
+def _drawn_images(
+    arrays: Arrays, candidates: Candidates, heights: list[int], mixture: Mixture | None, over: bool
+) -> list[Any]:
+    """Images of candidates, the last one composited if there is a mixture."""
+    runs, grid = candidates.runs(candidates.whole), candidates.grid
+    split = ImageSplit.of(arrays, grid, heights)
+    if not 0 < runs.pairs <= PAIRS_AT_ONCE:
+        images = rasterize_parts(arrays, Parts(candidates), heights)
+        return images if mixture is None else _mixed(arrays, images, mixture, over)
+    key, splat, _ = candidates.keys(runs)
+    pairs = splat, candidates.sorting(key), dr.width(key), grid.columns * grid.rows
+    leaps = jumps(arrays, runs.pairs, int(np.count_nonzero(candidates.wanted)))
+    blended = candidates.found.blended
+    return _images(arrays, blended, grid.numbers(arrays), key, *pairs, split, leaps, mixture, over)
+
+
+def images_of_pairs(
+    arrays: Arrays, blended: Records, grid: GridNumbers, key: Any, splat: Any, *given: Any
+) -> list[Any]:
+    """Images of sorted candidates, the last one composited if there is a mixture."""
+    sorting, pairs, tiles, split, leaps, mixture, over = given
+    found = lists(arrays, grid, key, splat, sorting, pairs, tiles)
+    images = blend(arrays, blended, found, split, leaps)
+    return images if mixture is None else _mixed(arrays, images, mixture, over)
+
+
+def _mixed(arrays: Arrays, images: list[Any], mixture: Mixture, over: bool) -> list[Any]:
+    """The images without the last one, which is composited into the first one, or into one before all."""
+    *others, atlas = images
+    if over:
+        return [composited(arrays, mixture, atlas, others[0]), *others[1:]]
+    return [composited(arrays, mixture, atlas), *others]
+
+
+_chosen, _splats, _images = Frozen(chosen), Frozen(splats_of_candidates), Frozen(images_of_pairs)
 
 
 def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:
@@ -208,7 +289,8 @@ def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerIma
     alone = lambda weight: np.minimum.reduce(at_corners(weight)) >= 1  # noqa: E731
     found = [(image, alone(image.weight) & wanted) for image in images if image.rate == 0]
     best = max(found, key=lambda one: np.count_nonzero(one[1]), default=None)
-    if best is None or np.count_nonzero(best[1]) < _WORTHWHILE * np.count_nonzero(wanted):
+    least = max(1, _WORTHWHILE * np.count_nonzero(wanted))
+    if best is None or np.count_nonzero(best[1]) < least:
         return None, np.zeros_like(wanted)
     return best
 
@@ -219,10 +301,11 @@ class CachedLayerImages:
     def __init__(self, renderer: ForestRenderer, camera: Camera, steps: Sequence[tuple[int, int]]):
         grid = TileGrid(camera.width, camera.height)
         images = [LayerImage.whole(layer, rate, (grid.rows, grid.columns)) for layer, rate in steps]
-        self._entries = pack_atlas(images, grid.mask(None))
+        part = AtlasPart.of(pack_atlas(images, grid.mask(None)))
+        self._entries = part.entries
         self._arrays, self._camera = renderer.arrays, camera
         cutoff = np.full((grid.rows + 1, grid.columns + 1), NYQUIST, np.float32)
-        (self._atlas,) = renderer._drawn(camera, [self._entries], cutoff)
+        (self._atlas,) = renderer._drawn(camera, [part], cutoff)
 
     def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
         """The wanted cells (rows, columns) of TILE pixels of the frame.

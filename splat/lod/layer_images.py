@@ -55,6 +55,20 @@ class AtlasEntry:
 
 
 @dataclass(frozen=True)
+class AtlasPart:
+    """Entries of an atlas that make an image, and its rows of tiles."""
+
+    entries: list[AtlasEntry]
+    height: int
+
+    @staticmethod
+    def of(entries: list[AtlasEntry], step: int = 1) -> AtlasPart:
+        """Some entries as an image whose height is a multiple of a number of tiles."""
+        rows = sum(len(entry.tile_rows) for entry in entries)
+        return AtlasPart(entries, -(-rows // step) * step)
+
+
+@dataclass(frozen=True)
 class Under:
     """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves."""
 

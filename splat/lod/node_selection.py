@@ -6,6 +6,7 @@ The table is one array: uploads cost as much as small kernels.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +14,10 @@ import drjit as dr
 import numpy as np
 
 from compose.base.arrays import Arrays
+from compose.base.frozen import capacity
 from splat.lod.layer_images import NYQUIST, AtlasEntry, Lattice
 from splat.raster.projection import PIXEL_FILTER, Footprints
-from splat.raster.records import RecordLayout, records_before
+from splat.raster.records import RecordLayout, Records, records_before
 from splat.raster.tiles import TILE
 
 # Of an entry: its first candidate, and that one's number among all footprints; where its counts of cells and
@@ -28,31 +30,41 @@ _ENTRY = RecordLayout((8, 8), _INTEGERS, **dict.fromkeys((*_INTEGERS, *_FLOAT_SL
 _FLOATS = 16
 
 
+@dataclass(frozen=True)
 class EntryTable:
-    """The entries of an atlas and their candidates: all footprints of their layers, entry by entry.
+    """The entries of an atlas and their candidates: all footprints of their layers, entry by entry."""
 
-    Args:
-        entries: of the atlas, at least one.
-        nodes: for each of them, where its layer's footprints lie among all.
-        blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
-        cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
-            cells of TILE pixels.
-    """
+    arrays: Arrays
+    records: Records  # of the entries, and behind them their counts of cells and the cut-offs
+    entries: int
+    rows: Any  # UInts of width 1: rows, columns of the corners of cells
+    columns: Any
+    candidates: Any  # UInt of width 1: how many there are
+    zero: Any  # UInt of width 1: Dr.Jit copies what is read at a literal index to an array of its own
+    capacity: int  # of lanes, for the candidates
 
-    def __init__(
-        self,
+    @staticmethod
+    def of_entries(
         arrays: Arrays,
         entries: Sequence[AtlasEntry],
         nodes: Sequence[range],
         blurs: Sequence[tuple[float, float]],
         cutoff: Lattice,
-    ):
-        self._arrays, self._count = arrays, len(entries)
-        self._rows, self._columns = (arrays.constant(side) for side in cutoff.shape)
-        *starts, self.candidates = np.cumsum([0, *map(len, nodes)]).tolist()
+    ) -> EntryTable:
+        """The table of some entries of an atlas, at least one.
+
+        Args:
+            entries: of the atlas.
+            nodes: for each of them, where its layer's footprints lie among all.
+            blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
+            cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
+                cells of TILE pixels.
+        """
+        *starts, candidates = np.cumsum([0, *map(len, nodes)]).tolist()
         # Summed-area tables: counting the cells in a box takes four look-ups.
         counts = np.zeros((len(entries), *cutoff.shape), dtype=np.int32)
-        counts[:, 1:, 1:] = np.stack([entry.cells for entry in entries]).cumsum(axis=1).cumsum(axis=2)
+        cells = np.stack([entry.cells for entry in entries])
+        np.cumsum(cells.cumsum(axis=1, dtype=np.int32), axis=2, out=counts[:, 1:, 1:])
         first = len(entries) * _FLOATS
         lattices = [cutoff]
         if any(entry.is_sharp for entry in entries):
@@ -74,18 +86,19 @@ class EntryTable:
             top=[entry.tile_rows.start for entry in entries],
             bottom=[entry.tile_rows.stop for entry in entries],
         )
-        self._records = records_before(arrays, _ENTRY, rows, counts, *lattices)
+        records = records_before(arrays, _ENTRY, rows, counts, *lattices)
+        corners = [arrays.constant(side) for side in cutoff.shape]
+        known = arrays.constant(candidates), arrays.constant(0), capacity(candidates)
+        return EntryTable(arrays, records, len(entries), corners[0], corners[1], *known)
 
     def of(self, candidate: Any) -> tuple[SimpleNamespace, Any]:
         """The entries that candidates (M,) belong to, and their numbers among all footprints."""
-        UInt = self._arrays.plain.UInt
-        # Dr.Jit copies what is read at a literal index to an array of its own.
-        zero = self._arrays.constant(0)
-        number = zero
-        for k in range(1, self._count):
-            start = dr.reinterpret_array(UInt, self._at(zero + k * _FLOATS))
+        UInt = self.arrays.plain.UInt
+        number = self.zero
+        for k in range(1, self.entries):
+            start = dr.reinterpret_array(UInt, self._at(self.zero + k * _FLOATS))
             number = number + dr.select(candidate >= start, UInt(1), UInt(0))
-        entry = self._records.at(number)
+        entry = self.records.at(number)
         return entry, candidate - entry.start + entry.node
 
     def cells(self, entry: SimpleNamespace, box: tuple[Any, Any, Any, Any], valid: Any) -> Any:
@@ -93,36 +106,38 @@ class EntryTable:
 
         Boxes are left, top, right and bottom in pixels, clipped to the frame.
         """
-        Float, Int, UInt = self._arrays.plain.Float, self._arrays.plain.Int, self._arrays.plain.UInt
-        across, down = Float(self._columns - 1), Float(self._rows - 1)
+        Float, Int, UInt = self.arrays.plain.Float, self.arrays.plain.Int, self.arrays.plain.UInt
+        across, down = Float(self.columns - 1), Float(self.rows - 1)
         inside = lambda position, count: dr.clip(position * (1 / TILE), 0, count)  # noqa: E731
         left, top = UInt(inside(box[0], across)), UInt(inside(box[1], down))
         right, bottom = UInt(dr.ceil(inside(box[2], across))), UInt(dr.ceil(inside(box[3], down)))
 
         def at(row: Any, column: Any) -> Any:
-            return dr.reinterpret_array(Int, self._at(entry.counts + row * self._columns + column, valid))
+            return dr.reinterpret_array(Int, self._at(entry.counts + row * self.columns + column, valid))
 
         return at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left)
 
     def cutoff(self, entry: SimpleNamespace, x: Any, y: Any) -> Any:
         """The cut-off, linear between the corners of cells, at positions in pixels."""
-        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
-        u = dr.clip(x * (1 / TILE), 0, Float(self._columns) - 1.001)
-        v = dr.clip(y * (1 / TILE), 0, Float(self._rows) - 1.001)
+        Float, UInt = self.arrays.plain.Float, self.arrays.plain.UInt
+        u = dr.clip(x * (1 / TILE), 0, Float(self.columns) - 1.001)
+        v = dr.clip(y * (1 / TILE), 0, Float(self.rows) - 1.001)
         column, row = UInt(u), UInt(v)
         fu, fv = u - Float(column), v - Float(row)
-        above = entry.cutoff + row * self._columns + column
-        below = above + self._columns
+        above = entry.cutoff + row * self.columns + column
+        below = above + self.columns
         lines = (dr.lerp(self._at(corner), self._at(corner + 1), fu) for corner in (above, below))
         return dr.lerp(*lines, fv)
 
     def _at(self, index: Any, valid: Any = True) -> Any:
-        return dr.gather(self._arrays.plain.Float, self._records.tables[0], index, valid)
+        return dr.gather(self.arrays.plain.Float, self.records.tables[0], index, valid)
 
 
 def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Footprints]) -> Any:
-    """Mask of the candidates, at least one, whose filtered box touches any cell of their entry."""
-    entry, index = table.of(dr.arange(arrays.plain.UInt, table.candidates))
+    """Mask of the candidates, up to the capacity, whose filtered box touches any cell of their entry."""
+    candidate = dr.arange(arrays.plain.UInt, table.capacity)
+    known = candidate < table.candidates
+    entry, index = table.of(dr.select(known, candidate, 0))
     node = footprints(index)
     # Square of the distance, in standard deviations, beyond which alpha is below 1/255.
     extent = 2 * dr.log(dr.maximum(node.opacity * 255, 1))
@@ -130,6 +145,18 @@ def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Foot
         dr.sqrt(extent * (variance + entry.widest)) + entry.margin for variance in (node.xx, node.yy)
     )
     # Rejects NaN and infinite boxes.
-    finite = (extent > 0) & (reach_x + reach_y < np.inf)
+    finite = known & (extent > 0) & (reach_x + reach_y < np.inf)
     box = node.x - reach_x, node.y - reach_y, node.x + reach_x, node.y + reach_y
     return finite & (table.cells(entry, box, finite) > 0)
+
+
+def chosen(arrays: Arrays, table: EntryTable, footprints: Records) -> tuple[Any, Any]:
+    """The candidates that touch cells of their entries, in order, UInt (N,), and the number up to each."""
+    UInt = arrays.plain.UInt
+    mask = touching(arrays, table, lambda index: Footprints(**vars(footprints.at(index))))
+    one = dr.select(mask, UInt(1), UInt(0))
+    dr.eval(one)
+    end, found = dr.cumsum(one), dr.empty(UInt, table.capacity)
+    dr.scatter(found, dr.arange(UInt, table.capacity), end - 1, one > 0, mode=dr.ReduceMode.Permute)
+    dr.eval(found, end)
+    return found, end

@@ -110,7 +110,6 @@ def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int, count: 
     boxes = _boxes(arrays, splats, bounds, side)
     found = Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, boxes), boxes.across * boxes.down)
     assert len(found.blended) == count
-    dr.eval(found.blended.tables, found.boxes.tables, found.count)
     return found
 
 
@@ -131,7 +130,7 @@ class Candidates:
         grid: TileGrid,
         wanted: NDArray[np.bool_] | None = None,
         order: Any = None,
-        runs: tuple[Any, Any, Any] | None = None,
+        runs: tuple[Any, Any] | None = None,
     ):
         self._arrays, self.found, self.grid = arrays, found, grid
         self.whole = TileWindow(0, 0, grid.columns, grid.rows)
@@ -157,9 +156,9 @@ class Candidates:
         if window != self.whole:
             boxes, count = _clipped(arrays, boxes, count, window)
         known = self._known if window == self.whole else None
-        first, count, end = known or _run_lengths(arrays, count, self._order, len(boxes))
+        end, count = known or _run_lengths(arrays, count, self._order, len(boxes))
         # Here, the host waits.
-        return Runs(tiles, int(end[len(boxes) - 1]), PairRuns(boxes, self._order, first, count))
+        return Runs(tiles, int(end[len(boxes) - 1]), PairRuns(boxes, self._order, end, count))
 
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
@@ -169,16 +168,15 @@ class Candidates:
             none = [dr.zeros(UInt, 0) for _ in range(6)]
             empty = Lists(numbers, 0, dr.zeros(UInt, ranges), *none[:3])
             return Bins(arrays, grid, runs.wanted, empty, *none[3:])
-        key, splat = self.keys(runs)
+        key, splat, first = self.keys(runs)
         sizes = dr.width(key), grid.columns * grid.rows
         lists = _listed(arrays, numbers, key, splat, self.sorting(key), *sizes)
-        first, count = runs.of.first, runs.of.count
         owner = dr.arange(arrays.plain.UInt, dr.width(first)) if self._order is None else self._order
-        return Bins(arrays, grid, runs.wanted, lists, first, count, owner)
+        return Bins(arrays, grid, runs.wanted, lists, first, runs.of.count, owner)
 
-    def keys(self, runs: Runs) -> tuple[Any, Any]:
-        """For each candidate of runs, padded, the key that it is sorted by, and its splat."""
-        arrays, sizes = self._arrays, (dr.width(runs.of.first), capacity(runs.pairs))
+    def keys(self, runs: Runs) -> tuple[Any, Any, Any]:
+        """Of candidates that are listed as `keys` describes."""
+        arrays, sizes = self._arrays, (dr.width(runs.of.count), capacity(runs.pairs))
         pairs = arrays.constant(runs.pairs)
         return _keys(arrays, self.grid.numbers(arrays), runs.of, pairs, self._mask, *sizes)
 
@@ -276,8 +274,8 @@ class PairRuns:
 
     boxes: Records  # of all splats
     order: Any  # (S,) the splats; None for all of them as they are
-    first: Any  # first, count: (S,) the run of each of them; some are empty
-    count: Any
+    end: Any  # UInt64 (S,), candidates up to the end of each one's run
+    count: Any  # (S,), candidates in it; some are empty
 
 
 @dataclass(frozen=True)
@@ -289,17 +287,19 @@ class Runs:
     of: Any = None  # their `PairRuns`, if there are any
 
 
-def run_lengths(arrays: Arrays, count: Any, order: Any, splats: int) -> tuple[Any, Any, Any]:
-    """Of each of S = `splats` the first pair and the number of pairs, UInt (S,), and the end, UInt64 (S,).
+def run_lengths(arrays: Arrays, count: Any, order: Any, splats: int) -> tuple[Any, Any]:
+    """`end` and `count` of `PairRuns` of so many splats.
 
-    Many splats on a large frame are more pairs than 32 bits count. Where it matters, the first pair's number
-    has wrapped, and whoever asked splits the window.
+    In 64 bits: many splats on a large frame are more pairs than 32 bits count.
     """
-    UInt, UInt64 = arrays.plain.UInt, arrays.plain.UInt64
-    wide = UInt64(count if order is None else dr.gather(UInt, count, order))
+    if order is not None:
+        count = dr.gather(arrays.plain.UInt, count, order)
+    wide = arrays.plain.UInt64(count)
+    # In one kernel with what the splats are packed into.
+    dr.eval(wide, count)
     end = dr.cumsum(wide)
     assert dr.width(end) == splats
-    return UInt(end - wide), UInt(wide), end
+    return end, count
 
 
 def keys(
@@ -310,22 +310,23 @@ def keys(
     wanted: Any,
     splats: int,
     size: int,
-) -> tuple[Any, Any]:
-    """For each of `size` candidates the key that it is sorted by, and its splat.
+) -> tuple[Any, Any, Any]:
+    """For each of `size` candidates the key that it is sorted by and its splat; the first one of each run.
 
     The key is the number of the tile, or that of all tiles for a candidate that need not be drawn, and for
     what lies behind the last one. The runs are of so many splats; `pairs` is the number of candidates and
-    `wanted` the mask of tiles, or None, both in memory.
+    `wanted` the mask of tiles, or None, both in memory. Where there are more pairs than 32 bits count, first
+    ones wrap: whoever asks must split the window.
     """
     UInt = arrays.plain.UInt
     # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
-    marks = dr.zeros(UInt, size)
-    dr.scatter(marks, dr.arange(UInt, splats), runs.first, runs.count > 0)
-    dr.eval(marks)
+    marks, first = dr.zeros(UInt, size), UInt(runs.end) - runs.count
+    dr.scatter(marks, dr.arange(UInt, splats), first, runs.count > 0)
+    dr.eval(marks, first)
     run = dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
     splat = run if runs.order is None else dr.gather(UInt, runs.order, run)
     box, lane = runs.boxes.at(splat), dr.arange(UInt, size)
-    within = lane - dr.gather(UInt, runs.first, run)
+    within = lane - dr.gather(UInt, first, run)
     # Masked lanes divide as well, and a division by zero raises SIGFPE on the CPU.
     across = dr.maximum(box.across, 1)
     row = within // across
@@ -337,7 +338,7 @@ def keys(
         keep &= dr.gather(arrays.plain.Bool, wanted, tile, keep)
     key = dr.select(keep, tile, grid.tiles)
     dr.eval(key, splat)
-    return key, splat
+    return key, splat, first
 
 
 def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, side: int) -> Any:
@@ -387,4 +388,5 @@ def _evaluated_lists(*given: Any) -> Lists:
     return found
 
 
-_boxed, _run_lengths, _keys, _listed = map(Frozen, (boxed, run_lengths, keys, _evaluated_lists))
+_boxed, _run_lengths, _keys = Frozen(boxed), Frozen(run_lengths), Frozen(keys)
+_listed = Frozen(_evaluated_lists)

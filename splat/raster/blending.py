@@ -56,7 +56,7 @@ def rasterize(
     split = ImageSplit.of(arrays, grid, heights or [grid.rows])
     if not size:
         return images or split.new(arrays, dr.zeros)
-    leaps = jumps(arrays, size, np.count_nonzero(bins.wanted))
+    leaps = jumps(arrays, size, int(np.count_nonzero(bins.wanted)))
     if images is not None:
         tiles = dr.width(bins.tiles), bins.tiles
         return blend(arrays, blended, bins.lists, split, leaps, images, *tiles)

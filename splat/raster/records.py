@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
+from compose.base.frozen import capacity
 
 
 @dataclass(frozen=True)
@@ -185,12 +186,15 @@ class Records:
 
 
 def concatenated_records(parts: Sequence[Records]) -> Records:
-    """All records of several parts of one layout, in order."""
-    first = parts[0]
-    if len(parts) == 1:
-        return first
+    """All records of several parts of one layout, in order; behind them, any numbers, up to a capacity."""
+    arrays, layout, size = parts[0].arrays, parts[0].layout, capacity(sum(map(len, parts)))
+    widths = [packet.size * packet.stride for packet in layout.packets if packet.offset == 0]
     tables = zip(*(part.tables for part in parts), strict=True)
-    return Records(first.arrays, first.layout, [first.arrays.concatenated(table) for table in tables])
+    return Records(
+        arrays,
+        layout,
+        [arrays.concatenated(of, size * width) for of, width in zip(tables, widths, strict=True)],
+    )
 
 
 def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -> Records:
@@ -199,6 +203,6 @@ def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -
     The first one of the parts is the records' rows (N, floats).
     """
     flat = [part.ravel().view(np.float32) for part in parts]
-    # The array must be a whole number of packets.
-    flat.append(np.zeros(-sum(map(len, flat)) % layout.packets[0].size, dtype=np.float32))
+    size = sum(map(len, flat))
+    flat.append(np.zeros(capacity(size) - size, dtype=np.float32))
     return Records(arrays, layout, [uploaded(arrays.plain.Float, np.concatenate(flat))])

@@ -72,8 +72,10 @@ class TileGrid:
 
     def numbers(self, arrays: Arrays) -> GridNumbers:
         """The grid on the device."""
-        sizes = self.columns, self.columns * self.rows, self.padded_width
-        return GridNumbers(*map(arrays.constant, sizes), self.side)
+        columns, tiles, width = (
+            arrays.constant(n) for n in (self.columns, self.columns * self.rows, self.padded_width)
+        )
+        return GridNumbers(columns, tiles, width, self.side)
 
     def mask(self, wanted: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
         """(rows, columns) the wanted tiles; None stands for all.

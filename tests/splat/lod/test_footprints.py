@@ -34,7 +34,7 @@ def projected(arrays, forest: Forest, camera) -> dict[str, np.ndarray]:
 
 
 def all_of(arrays, cache: ForestFootprints, part: range):
-    return cache.footprints(dr.arange(arrays.plain.UInt, len(part)) + part.start)
+    return cache.records.at(dr.arange(arrays.plain.UInt, len(part)) + part.start)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -35,12 +35,13 @@ def found(arrays, floats: dict[str, np.ndarray], parts: list[tuple[np.ndarray, r
     weight = np.ones(shape, dtype=np.float32)
     entries = [AtlasEntry(LayerImage(1, rate, weight), 0, cells, cells) for cells, _, _, rate in parts]
     blurs = [(blur, 1.0) for _, _, blur, _ in parts]
-    table = EntryTable(arrays, entries, [part for _, part, _, _ in parts], blurs, weight)
+    table = EntryTable.of_entries(arrays, entries, [part for _, part, _, _ in parts], blurs, weight)
     gathered = lambda index: SimpleNamespace(  # noqa: E731
         **{name: dr.gather(arrays.plain.Float, row, index) for name, row in rows.items()}
     )
-    mask = touching(arrays, table, gathered).numpy()
-    return np.split(mask, np.cumsum([len(part) for _, part, _, _ in parts])[:-1])
+    mask, sizes = touching(arrays, table, gathered).numpy(), [len(part) for _, part, _, _ in parts]
+    assert not mask[sum(sizes) :].any()
+    return np.split(mask[: sum(sizes)], np.cumsum(sizes)[:-1])
 
 
 def expected(n: dict[str, np.ndarray], cells: np.ndarray, blur: float, margin: float) -> np.ndarray:
