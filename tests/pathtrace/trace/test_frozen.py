@@ -1,4 +1,4 @@
-"""FrozenWithScenes functions give what the functions give, and survive other threads and the garbage collector."""
+"""Frozen functions of scenes give what the functions give, and survive threads and the garbage collector."""
 
 from __future__ import annotations
 
