@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import drjit as dr
@@ -76,14 +77,17 @@ class Frozen:
 
 def flattened(value: Any) -> Any:
     """Dataclasses, tuples and lists as tuples that start with their type, by which recordings differ."""
-    kind = type(value)
-    if isinstance(value, Passed):
-        return value.flat
-    if is_dataclass(kind):
-        return (kind, *(flattened(getattr(value, field.name)) for field in fields(kind)))
-    if kind in (tuple, list):
+    kind: Any = type(value)
+    if kind is tuple or kind is list:
         return (kind, *map(flattened, value))
-    return {key: flattened(part) for key, part in value.items()} if kind is dict else value
+    if kind is dict:
+        return {key: flattened(part) for key, part in value.items()}
+    names = _names(kind)
+    if names is None:
+        return value
+    if names is _FLAT:
+        return value.flat
+    return (kind, *[flattened(getattr(value, name)) for name in names])
 
 
 def rebuilt(value: Any) -> Any:
@@ -93,9 +97,20 @@ def rebuilt(value: Any) -> Any:
     if type(value) is not tuple:
         return value
     kind, *parts = value
-    if issubclass(kind, Passed):
+    names = _names(kind)
+    if names is _FLAT:
         return parts[0].value
     whole = map(rebuilt, parts)
-    if kind in (tuple, list):
-        return kind(whole)
-    return kind(**{field.name: part for field, part in zip(fields(kind), whole, strict=True)})
+    return kind(whole) if names is None else kind(**dict(zip(names, whole, strict=True)))
+
+
+# What `_names` says of types of `Passed`.
+_FLAT = ("flat",)
+
+
+@cache
+def _names(kind: Any) -> tuple[str, ...] | None:
+    """The fields of a dataclass; None for other types."""
+    if issubclass(kind, Passed):
+        return _FLAT
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None

@@ -55,16 +55,20 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
     """One estimate from all parents of a view, by a fusion fitted to its scene; without one by statistics."""
     height, width = parents.traced.shape[:2]
     with torch.inference_mode():
-        images, excluded = _usable({name: as_batch(getattr(parents, name)) for name in IMAGES})
+        images = {name: as_batch(getattr(parents, name)) for name in IMAGES}
+        least, most, finite, mean_count = _facts(images)
+        plain, excluded = least >= 0 and most <= MOST and finite == 1, 0
+        if not plain:
+            images, excluded = _usable(images)
         # (1, C, H, W) each; the network sees blocks of 2 x 2.
         images = {name: padded_to_even(image) for name, image in images.items()}
         traced, denoised, variance, count = (images[n] for n in ("traced", "denoised", "variance", "count"))
-        radiance, weights = _first_estimate(images, parents, fusion)
-        if float(count.mean()) >= _TELLING_COUNT:
-            share = regressed(radiance, denoised, traced, variance)
+        radiance, weights = _first_estimate(images, parents, fusion, plain)
+        if mean_count >= _TELLING_COUNT:
+            share = regressed(radiance, denoised, traced, variance, plain)
             radiance, weights = torch.lerp(radiance, denoised, share), weights * (1 - share)
             weights[:, 1:2] += share  # denoised
-        share = trust(radiance, traced, variance, count)
+        share = trust(radiance, traced, variance, count, plain)
         radiance = torch.lerp(traced, radiance, share)
         weights = weights * share
         weights[:, 0:1] += 1 - share  # traced
@@ -72,13 +76,24 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
     return Fused(radiance, weights, excluded)
 
 
+def _facts(images: Mapping[str, Tensor]) -> list[float]:
+    """Of the parents the least and the largest radiance, whether features are finite, and the mean count.
+
+    Together, since a card is waited for. A number that is none is the least and the largest one, too.
+    """
+    ends = torch.aminmax(torch.cat([images[name] for name in PARENTS]))
+    finite = torch.isfinite(images["albedo"] + images["normal"]).all()
+    facts: list[float] = torch.stack([*ends, finite.to(ends.min.dtype), images["count"].mean()]).tolist()
+    return facts
+
+
 def _first_estimate(
-    images: Mapping[str, Tensor], parents: Parents, fusion: Fusion | None
+    images: Mapping[str, Tensor], parents: Parents, fusion: Fusion | None, plain: bool
 ) -> tuple[Tensor, Tensor]:
     """Radiance and weights (1, 3, H, W) by the network, or without one by statistics."""
     traced, denoised, splat = (images[name] for name in PARENTS)
     if fusion is None:
-        return statistical(traced, denoised, splat, images["variance"])
+        return statistical(traced, denoised, splat, images["variance"], plain)
     shares = shares_at(fusion.shares, parents.quick, images["count"], parents.enlargement)
     network, denoised_share, splat_share = shares.split(1, 1)  # (1, 1, H, W) each
     if not bool((network + splat_share).any()):
@@ -93,14 +108,16 @@ def _first_estimate(
     return radiance, weights + network * of_estimate
 
 
-def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
+def statistical(
+    traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor, plain: bool = False
+) -> tuple[Tensor, Tensor]:
     """Radiance and weights (N, 3, H, W) of splats and denoised samples, without anything fitted.
 
     Images are (N, 3, H, W) as in Parents. The bias of the splats is held against the variance of the denoised
     samples. The squared bias is the part of the squared difference between samples and splats, averaged over
     about 6 x 6 pixels, that variance does not explain; denoising is assumed to average over as many pixels.
     """
-    samples, smooth, biased = _squarable(traced, denoised, splat)
+    samples, smooth, biased = _squarable(plain, traced, denoised, splat)
     known = torch.where(torch.isfinite(variance), variance, (samples - smooth) ** 2)
     explained = box_mean(halved(known.mean(1, keepdim=True)))
     found = box_mean(halved(((samples - biased) ** 2).mean(1, keepdim=True)))
@@ -110,14 +127,16 @@ def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tenso
     return torch.lerp(splat, denoised, share), weights
 
 
-def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor) -> Tensor:
+def regressed(
+    estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor, plain: bool = False
+) -> Tensor:
     """(N, 1, H, W) how far the traced radiance lies along the way from an estimate to another one, 0..1.
 
     It is found by least squares over about 6 x 6 pixels. A multiple of the variance of their mean is added to
     the squared length of the way: where the two estimates differ by less than noise, the first one is kept.
     All images are (N, 3, H, W).
     """
-    estimate, other, traced = _squarable(estimate, other, traced)
+    estimate, other, traced = _squarable(plain, estimate, other, traced)
     known = torch.isfinite(variance).all(1, keepdim=True)
     noise = torch.where(known, variance, 0).to(traced.dtype).mean(1, keepdim=True)
     way = other - estimate  # (N, 3, H, W)
@@ -127,7 +146,7 @@ def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor)
     return torch.where(known, enlarged(share.clamp(0, 1), traced), 0.0).to(variance.dtype)
 
 
-def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> Tensor:
+def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor, plain: bool = False) -> Tensor:
     """(N, 1, H, W) share that an estimate of unknown bias keeps beside the unbiased one, 0..1.
 
     v / (v + b^2) is the best share for independent errors of variance v and bias b. The squared bias is
@@ -136,7 +155,7 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
     variance are too small, so the relative variance of the neighbourhood counts where it is larger; and the
     fewer the samples, the wider the interval may be. Images are (N, 3, H, W), counts (N, 1, H, W).
     """
-    estimate, traced = _squarable(estimate, traced)
+    estimate, traced = _squarable(plain, estimate, traced)
     known = torch.isfinite(variance).all(1, keepdim=True)
     explained = torch.where(known, variance, 0).to(traced.dtype).mean(1, keepdim=True)
     excess = ((estimate - traced) ** 2).mean(1, keepdim=True) - explained
@@ -152,8 +171,13 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
     return torch.where(known, enlarged(share, traced), 1.0).to(variance.dtype)
 
 
-def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
-    """Images of radiance in a type that holds their fourth powers: float32 ends at those of 4e9."""
+def _squarable(plain: bool, *images: Tensor) -> tuple[Tensor, ...]:
+    """Images of radiance in a type that holds their fourth powers: float32 ends at those of 4e9.
+
+    They are looked at, which waits for a card, unless they are `plain`: made of parents of at most MOST.
+    """
+    if plain:
+        return images
     ends = [end for image in images for end in torch.aminmax(image)]
     wide = max(abs(float(end)) for end in ends) > MOST
     return tuple(image.double() for image in images) if wide else images
@@ -162,9 +186,6 @@ def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
 def _usable(images: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
     """The parents with whatever cannot be radiance replaced, and in how many pixels; see `Fused`."""
     radiance = torch.cat([images[name] for name in PARENTS])
-    plain = (radiance >= 0).all() & (radiance <= MOST).all()
-    if bool(plain & torch.isfinite(images["albedo"] + images["normal"]).all()):
-        return images, 0
     traced, denoised, splat = (image.permute(1, 2, 0).cpu().numpy() for image in radiance)
     # (H, W, 1) each. Where splats and denoised samples are wrong, they are so in whole patches.
     no_traced = outliers(traced, splat)
