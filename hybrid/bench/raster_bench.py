@@ -13,8 +13,9 @@ from hybrid.base.compute_device import device_arrays
 from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import percentiles
 from splat.raster.binning import Candidates
+from splat.raster.blending import gradients_from_sums
 from splat.raster.blocks import CHANNELS
-from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
+from splat.raster.parts import Parts, rasterize_parts, sums_of_parts
 from splat.raster.projection import Splats
 from splat.raster.tiles import TileGrid
 
@@ -41,7 +42,7 @@ def bench_raster(
         (image,) = rasterize_parts(arrays, parts)
         dr.sync_thread()
         middle = time.perf_counter()
-        rasterize_parts_backward(arrays, splats, parts, image, gradient)
+        dr.eval(gradients_from_sums(splats, sums_of_parts(arrays, parts, image, gradient)))
         dr.sync_thread()
         if step >= 0:
             forward.append((middle - start) * 1000)

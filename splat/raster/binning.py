@@ -87,6 +87,11 @@ class TileBounds:
     bottom: Any
 
 
+def everywhere(arrays: Arrays, grid: TileGrid) -> TileBounds:
+    """All tiles of a grid."""
+    return TileBounds(arrays.constant(grid.columns), arrays.constant(0), arrays.constant(grid.rows))
+
+
 class TileWindow(NamedTuple):
     """A rectangle of tiles; right and bottom are exclusive."""
 
@@ -140,8 +145,7 @@ class Candidates:
     @staticmethod
     def of(arrays: Arrays, splats: Splats, grid: TileGrid) -> Candidates:
         """Those of splats in any order, without derivatives, for all tiles."""
-        everywhere = TileBounds(arrays.constant(grid.columns), arrays.constant(0), arrays.constant(grid.rows))
-        found = _boxed(arrays, splats, everywhere, grid.side, dr.width(splats.x))
+        found = _boxed(arrays, splats, everywhere(arrays, grid), grid.side, dr.width(splats.x))
         return Candidates(arrays, found, grid, None, depth_order(arrays, splats.depth, found.count > 0))
 
     def runs(self, window: TileWindow) -> Runs:

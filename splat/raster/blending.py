@@ -163,15 +163,58 @@ _SUMS = 9
 _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
 
 
-def no_sums(arrays: Arrays, splats: Splats) -> list[Any]:
-    """What `added_sums` adds to first."""
-    return [dr.zeros(arrays.plain.Float, dr.width(splats.x)) for _ in range(_SUMS)]
+def no_sums(arrays: Arrays, splats: int) -> list[Any]:
+    """What `added_sums` adds to first, of so many splats."""
+    return [dr.zeros(arrays.plain.Float, splats) for _ in range(_SUMS)]
+
+
+def sums_of_bins(arrays: Arrays, blended: Records, bins: Bins, image: Any, gradient: Any) -> list[Any]:
+    """What the lists of all tiles contribute to the sums that each splat's gradient is made of.
+
+    Args:
+        blended, bins, image: as given to and returned by `rasterize`.
+        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
+            opacity is taken to be zero.
+    """
+    if not bins.lists.pairs:
+        return no_sums(arrays, len(blended))
+    return _sums(*_of_bins(arrays, blended, bins), image, gradient)
 
 
 def added_sums(
     arrays: Arrays, blended: Records, bins: Bins, image: Any, gradient: Any, sums: list[Any]
 ) -> list[Any]:
-    """Adds what the lists of some tiles contribute to the sums that each splat's gradient is made of.
+    """`sums_of_bins`, added to those over tiles further up, and to the left in the same row."""
+    if not bins.lists.pairs:
+        return sums
+    return sums_of_lists(*_of_bins(arrays, blended, bins), image, gradient, sums)
+
+
+def _of_bins(arrays: Arrays, blended: Records, bins: Bins) -> tuple[Any, ...]:
+    """The first arguments of `sums_of_lists`."""
+    runs = SplatRuns(bins.first, bins.count, bins.owner)
+    tiles = bins.tiles
+    return arrays, blended, bins.lists, runs, tiles, dr.width(tiles), len(blended), not stays_together(arrays)
+
+
+@dataclass(frozen=True)
+class SplatRuns:
+    """The run of pairs of each of S splats, as `Bins` has them."""
+
+    first: Any
+    count: Any
+    owner: Any
+
+
+def sums_of_lists(
+    arrays: Arrays,
+    blended: Records,
+    lists: Lists,
+    runs: SplatRuns,
+    tiles: Any,
+    *given: Any,
+) -> list[Any]:
+    """Nine (N,) sums over the lists of some tiles, added to earlier ones if there are any.
 
     Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
     and S the light that arrives from behind it, which is the final colour less all that was added up to m:
@@ -181,23 +224,19 @@ def added_sums(
     that lies behind it, gradients are noise of that size.
 
     Args:
-        blended, bins, image: as given to and returned by `rasterize`.
-        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
-            opacity is taken to be zero.
-        sums: nine (N,) arrays, over tiles further up, and to the left in the same row.
+        tiles: their numbers.
+        given: the number of tiles and that of splats, N; whether lanes go by themselves; image and gradient,
+            as in `sums_of_bins`; earlier sums.
     """
-    pairs = bins.lists.pairs
-    if not pairs:
-        return sums
-    UInt, in_packets = arrays.plain.UInt, not stays_together(arrays)
-    records = records_of_pairs(blended, bins.lists)
-    shown = Shown(arrays, bins.lists, records) if in_packets else None
-    walk = _Walk(arrays, bins, records, image, gradient, shown)
-    slots = [dr.zeros(arrays.plain.Float, p.size * pairs) for p in walk.layout.packets]
-    if in_packets:
+    count, splats, alone, image, gradient, *sums = given
+    UInt = arrays.plain.UInt
+    records = records_of_pairs(blended, lists)
+    walk = _Walk(arrays, lists, records, image, gradient, Shown(arrays, lists, records) if alone else None)
+    slots = [dr.zeros(arrays.plain.Float, p.size * lists.pairs) for p in walk.layout.packets]
+    if alone:
         # A vector has four lanes or more and so all those of a tile: two threads never add to a pair.
-        lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS)
-        tile, column = lane // LANES_ACROSS, lane % LANES_ACROSS
+        lane = dr.arange(UInt, count * LANES_ACROSS)
+        tile, column = dr.gather(UInt, tiles, lane // LANES_ACROSS), lane % LANES_ACROSS
         _, slots = dr.while_loop(
             (dr.zeros(UInt, dr.width(lane)), slots),
             lambda row, slots: row < LANES_ACROSS,
@@ -205,10 +244,15 @@ def added_sums(
             mode="symbolic",
         )
     else:
-        lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS**2)
-        slots = walk.added(lane // LANES_ACROSS**2, lane % LANES_ACROSS**2, slots)
+        lane = dr.arange(UInt, count * LANES_ACROSS**2)
+        tile = dr.gather(UInt, tiles, lane // LANES_ACROSS**2)
+        slots = walk.added(tile, lane % LANES_ACROSS**2, slots)
     dr.eval(slots)
-    return _sum_runs(arrays, bins, Records(arrays, walk.layout, slots), sums)
+    earlier = sums[0] if sums else no_sums(arrays, splats)
+    return _sum_runs(arrays, runs, Records(arrays, walk.layout, slots), earlier)
+
+
+_sums = Frozen(sums_of_lists)
 
 
 @dataclass(frozen=True)
@@ -218,8 +262,8 @@ class _Walk:
     On a GPU, where lanes stay together, they add in their warp.
     """
 
-    arrays: Arrays  # this, bins, image, gradient: as for `added_sums`
-    bins: Bins
+    arrays: Arrays  # this, lists, image, gradient: as for `sums_of_lists`
+    lists: Lists
     records: Records  # the splats, per pair
     image: Any
     gradient: Any
@@ -231,19 +275,18 @@ class _Walk:
         """How the sums of a pair lie in memory."""
         return _ONE_BY_ONE if self.shown is None else _IN_PACKETS
 
-    def added(self, position: Any, number: Any, slots: list[Any]) -> list[Any]:
-        """Adds what the blocks with a number in the tiles at a position contribute to the sums of pairs."""
-        arrays, bins = self.arrays, self.bins
+    def added(self, tile: Any, number: Any, slots: list[Any]) -> list[Any]:
+        """Adds what the blocks with a number in tiles contribute to the sums of pairs."""
+        arrays, lists = self.arrays, self.lists
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
-        block = Blocks(arrays, bins.lists, dr.gather(UInt, bins.tiles, position), number)
-        width = bins.lists.grid.width
+        block, width = Blocks(arrays, lists, tile, number), lists.grid.width
         flow, final = block.loaded(self.gradient, width), block.loaded(self.image, width)
         behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
 
         def step(i: Any, transmittance: list[Any], behind: list[Any], slots: list[Any]) -> tuple[Any, ...]:
             transmittance, behind = list(transmittance), list(behind)
             sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind)
-            self._add(sums, dr.gather(UInt, bins.lists.unsorted, i), slots)
+            self._add(sums, dr.gather(UInt, lists.unsorted, i), slots)
             return following(i + 1), transmittance, behind, slots
 
         def following(i: Any) -> Any:
@@ -313,21 +356,21 @@ def _block_sums(
     return moments + colours
 
 
-def _sum_runs(arrays: Arrays, bins: Bins, slots: Records, sums: list[Any]) -> list[Any]:
+def _sum_runs(arrays: Arrays, runs: SplatRuns, slots: Records, sums: list[Any]) -> list[Any]:
     """(N,) sums over each splat's pairs, added to earlier ones always in the same order."""
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
 
     def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
         return i + 1, [s + further for s, further in zip(sums, slots.at(i).sums, strict=True)]
 
-    end = bins.first + bins.count
-    state = (UInt(bins.first), [dr.gather(Float, values, bins.owner) for values in sums])
+    end = runs.first + runs.count
+    state = (UInt(runs.first), [dr.gather(Float, values, runs.owner) for values in sums])
     _, added = dr.while_loop(state, lambda i, sums: i < end, add, mode="symbolic")
     dr.eval(added)
     totals = []
     for values, earlier in zip(added, sums, strict=True):
         total = Float(earlier)
-        dr.scatter(total, values, bins.owner, mode=dr.ReduceMode.Permute)
+        dr.scatter(total, values, runs.owner, mode=dr.ReduceMode.Permute)
         totals.append(total)
     dr.eval(totals)
     return totals
@@ -342,7 +385,7 @@ def gradients_from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
     s, su, sv, suu, suv, svv, *colour = sums
     to_x, to_y = (dr.sqrt((2 / LOG2_E) * value) for value in (splats.x_precision, splats.y_precision))
     by_x = to_x * su
-    gradients = [
+    return [
         by_x,
         dr.fma(splats.shear, by_x, to_y * sv),
         suu * dr.rcp(-LOG2_E * splats.x_precision),
@@ -351,5 +394,3 @@ def gradients_from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
         dr.select(splats.opacity > 0, s * dr.rcp(dr.maximum(splats.opacity, 1e-12)), 0),
         *colour,
     ]
-    dr.eval(gradients)
-    return gradients

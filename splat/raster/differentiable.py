@@ -14,17 +14,27 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from compose import LLVM
-from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName
+from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName, constant
 from compose.base.errors import UserError
+from compose.base.frozen import Frozen
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.gaussians import SH_DC, Directional, Gaussians
 from splat.model.points import from_world
-from splat.raster.binning import Candidates
+from splat.raster.binning import Boxed, Candidates, TileBounds, boxed, depth_order, everywhere
+from splat.raster.blending import gradients_from_sums
 from splat.raster.blocks import CHANNELS
 from splat.raster.harmonics import sh_basis
-from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
-from splat.raster.projection import NEAR, PIXEL_FILTER, Parameters, project
+from splat.raster.parts import Parts, rasterize_parts, sums_of_parts
+from splat.raster.projection import (
+    NEAR,
+    PIXEL_FILTER,
+    CameraNumbers,
+    Parameters,
+    Splats,
+    camera_numbers,
+    project,
+)
 from splat.raster.tiles import TileGrid
 
 
@@ -131,10 +141,7 @@ def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
     """
     if gaussians.directional is not None:
         raise ValueError("Gaussians with directional harmonics of their own: must be seen from an eye first")
-    rows = aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()])
-    means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
-    coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]
-    return Parameters(means, log_scales, rotations, rows[10], coefficients)
+    return parameters_of(aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()]))
 
 
 def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
@@ -178,17 +185,21 @@ class _Render(torch.autograd.Function):
     def forward(  # type: ignore[override]
         ctx: Any, arrays: Arrays, camera: Camera, low_pass: float, *tensors: torch.Tensor
     ) -> torch.Tensor:
-        parameters = parameters_from(arrays, Gaussians(*tensors))
-        leaves = parameters.leaves()
+        rows = [
+            dr.detach(row, preserve_type=False)
+            for row in parameters_from(arrays, Gaussians(*tensors)).leaves()
+        ]
         _wait_for_torch(tensors[0].device)
-        dr.enable_grad(leaves)
-        projected = project(parameters, camera, low_pass)
-        splats = projected.detached()
-        dr.eval(splats.__dict__, projected.differentiable())
         grid = TileGrid(camera.width, camera.height)
-        parts = Parts(Candidates.of(arrays, splats, grid))
+        plain = arrays.plain
+        view = camera_numbers(plain.Float, camera), constant(plain.Float, low_pass)
+        splats, found = _projected(
+            arrays, rows, *view, everywhere(arrays, grid), grid.side, dr.width(rows[0])
+        )
+        order = depth_order(arrays, splats.depth, found.count > 0)
+        parts = Parts(Candidates(arrays, found, grid, None, order))
         (image,) = rasterize_parts(arrays, parts)
-        ctx.state = (arrays, leaves, projected, splats, parts, image)
+        ctx.state = (arrays, rows, view, splats, parts, image)
         # The gradient reads the tensors again: torch refuses to go on if they have changed meanwhile.
         ctx.save_for_backward(*tensors)
         shape = grid.padded_height, grid.padded_width, CHANNELS
@@ -202,7 +213,7 @@ class _Render(torch.autograd.Function):
         # Dr.Jit's graph is gone after one traversal.
         if ctx.state is None:
             raise RuntimeError("this image was differentiated already: render it again")
-        arrays, leaves, projected, splats, parts, image = ctx.state
+        arrays, rows, view, splats, parts, image = ctx.state
         # On a card, torch calls this in a thread of its own, which may only use arrays of an earlier scope.
         dr.detail.new_scope(dr.backend_v(arrays.plain.Float))
         shapes = [tensor.shape for tensor in ctx.saved_tensors]
@@ -211,16 +222,53 @@ class _Render(torch.autograd.Function):
         beyond = (0, CHANNELS - 3, 0, grid.padded_width - grid.width, 0, grid.padded_height - grid.height)
         flow = dr.detach(arrays.from_torch(functional.pad(gradient, beyond)), preserve_type=False)
         _wait_for_torch(gradient.device)
-        gradients = rasterize_parts_backward(arrays, splats, parts, image, flow)
-        for value, by_value in zip(projected.differentiable(), gradients, strict=True):
-            dr.accum_grad(value, by_value)
-        dr.enqueue(dr.ADMode.Backward, projected.differentiable())
-        dr.traverse(dr.ADMode.Backward)
-        block = _in_rows(arrays, [dr.grad(leaf) for leaf in leaves])
-        rows = arrays.to_torch(block, gradient.device).reshape(len(leaves), -1)
+        sums, count = sums_of_parts(arrays, parts, image, flow), dr.width(rows[0])
+        block = _by_parameters(arrays, rows, *view, splats, sums, arrays.constant(count), count)
+        found = arrays.to_torch(block, gradient.device).reshape(len(rows), -1)
         sizes = [shape.numel() // shape[-1] for shape in shapes]
-        results = [part.reshape(s) for part, s in zip(rows.split(sizes), shapes, strict=True)]
+        results = [part.reshape(s) for part, s in zip(found.split(sizes), shapes, strict=True)]
         return (None, None, None, *results)
+
+
+def parameters_of(rows: list[Any]) -> Parameters:
+    """Parameters from their rows in the order of `Parameters.leaves`."""
+    means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
+    return Parameters(means, log_scales, rotations, rows[10], [sh[k : k + 3] for k in range(0, len(sh), 3)])
+
+
+def projected_splats(
+    arrays: Arrays, rows: list[Any], view: CameraNumbers, low_pass: Any, bounds: TileBounds, *sizes: int
+) -> tuple[Splats, Boxed]:
+    """Splats of Gaussians, and those as boxed for tiles; the sizes are the tiles' side and their number."""
+    splats = project(parameters_of(rows), view, low_pass)
+    return splats, boxed(arrays, splats, bounds, *sizes)
+
+
+def gradients_of_rows(
+    arrays: Arrays, rows: list[Any], view: CameraNumbers, low_pass: Any, *given: Any
+) -> Any:
+    """Gradients by the rows of N Gaussians, one after the other in one array: torch has nothing to copy.
+
+    Args:
+        given: the splats and `sums_of_parts`; N, in memory and as a number.
+    """
+    splats, sums, step, count = given
+    leaves = [arrays.ad.Float(row) for row in rows]
+    dr.enable_grad(leaves)
+    outputs = project(parameters_of(leaves), view, low_pass).differentiable()
+    for value, by_value in zip(outputs, gradients_from_sums(splats, sums), strict=True):
+        dr.accum_grad(value, by_value)
+    dr.enqueue(dr.ADMode.Backward, outputs)
+    dr.traverse(dr.ADMode.Backward)
+    block, first = dr.empty(arrays.plain.Float, len(rows) * count), dr.arange(arrays.plain.UInt, count)
+    for leaf in leaves:
+        by_row = dr.detach(dr.grad(leaf), preserve_type=False)
+        dr.scatter(block, by_row, first, mode=dr.ReduceMode.Permute)
+        first = first + step
+    return block
+
+
+_projected, _by_parameters = Frozen(projected_splats), Frozen(gradients_of_rows)
 
 
 def _wait_for_torch(device: torch.device) -> None:
@@ -230,14 +278,3 @@ def _wait_for_torch(device: torch.device) -> None:
     """
     if device.type == "cuda":
         torch.cuda.default_stream(device).wait_stream(torch.cuda.current_stream(device))
-
-
-def _in_rows(arrays: Arrays, rows: list[Any]) -> Any:
-    """Arrays (N,) one after the other in one: torch waits once, and has nothing to copy."""
-    count = dr.width(rows[0])
-    block = dr.empty(arrays.plain.Float, len(rows) * count)
-    first, step = dr.arange(arrays.plain.UInt, count), arrays.constant(count)
-    for row in rows:
-        dr.scatter(block, dr.detach(row, preserve_type=False), first, mode=dr.ReduceMode.Permute)
-        first = first + step
-    return block

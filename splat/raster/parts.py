@@ -16,8 +16,7 @@ import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import Bins, Candidates, TileWindow
-from splat.raster.blending import ImageSplit, added_sums, gradients_from_sums, no_sums, rasterize
-from splat.raster.projection import Splats
+from splat.raster.blending import ImageSplit, added_sums, no_sums, rasterize, sums_of_bins
 
 # Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
 # this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
@@ -74,11 +73,11 @@ def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None 
     return images
 
 
-def rasterize_parts_backward(
-    arrays: Arrays, splats: Splats, parts: Parts, image: Any, gradient: Any
-) -> list[Any]:
-    """Nine (N,) gradients by the splats, in the order of `Splats.differentiable`, from that by an image."""
-    sums = no_sums(arrays, splats)
+def sums_of_parts(arrays: Arrays, parts: Parts, image: Any, gradient: Any) -> list[Any]:
+    """Nine (N,) sums that gradients by the splats are made of, from the gradient by an image."""
+    if parts.only is not None:
+        return sums_of_bins(arrays, parts.blended, parts.only, image, gradient)
+    sums = no_sums(arrays, len(parts.blended))
     for bins in parts:
         sums = added_sums(arrays, parts.blended, bins, image, gradient, sums)
-    return gradients_from_sums(splats, sums)
+    return sums

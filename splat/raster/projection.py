@@ -114,7 +114,26 @@ class Parameters:
         return [*self.means, *self.log_scales, *self.rotations, self.opacity_logits, *harmonics]
 
 
-def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
+@dataclass(frozen=True)
+class CameraNumbers:
+    """A camera as kernels read it, numbers of width 1 in memory: one kernel serves every camera."""
+
+    rotation: list[Any]  # of the world into the camera's axes, row by row, and the eye, in float64
+    eye: list[Any]
+    focal: list[Any]  # fx, fy
+    centre: list[Any]  # cx, cy
+    limits: list[Any]  # of the tangents
+    half: list[Any]  # half the frame's width and height in pixels
+
+    def like(self, number: Any) -> CameraNumbers:
+        """The numbers in types that go with a kind of Float."""
+        double = dr.float64_array_t(number)
+        wide = ([double(value) for value in values] for values in (self.rotation, self.eye))
+        rest = self.focal, self.centre, self.limits, self.half
+        return CameraNumbers(*wide, *([number(value) for value in values] for values in rest))
+
+
+def project(parameters: Parameters, camera: Camera | CameraNumbers, low_pass: Any) -> Splats:
     """Projects Gaussians onto a camera's film and filters them, differentiably.
 
     The low-pass, a float or an array (N,), is the variance in px^2 that is added to each 2D covariance.
@@ -137,11 +156,12 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
     return Splats(raw.x, raw.y, x_precision, -raw.xy * y_precision, y_precision, opacity, *rest)
 
 
-def footprints(parameters: Parameters, camera: Camera) -> Footprints:
+def footprints(parameters: Parameters, camera: Camera | CameraNumbers) -> Footprints:
     """Projects Gaussians onto a camera's film, without a filter."""
     number: Any = type(parameters.opacity_logits)
-    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(number, camera)
-    from_eye = _from_eye(parameters.means, eye)
+    view = (camera_numbers(number, camera) if isinstance(camera, Camera) else camera).like(number)
+    rotation, (fx, fy), (cx, cy), (limit_x, limit_y) = view.rotation, view.focal, view.centre, view.limits
+    from_eye = _from_eye(parameters.means, view.eye)
     vx, vy, vz = _in_camera(rotation, from_eye)
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
@@ -191,7 +211,7 @@ def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> t
 def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
     """How a camera sees harmonics above the constant one, three channels each: as a constant one."""
     number: Any = type(means[0])
-    eye = _opaque(number, camera)[1]
+    eye = camera_numbers(number, camera).eye
     basis = sh_basis(len(sh) + 1, _normalized([number(part) for part in _from_eye(means, eye)]))[1:]
     return [channel / SH_DC for channel in sh_sums(sh, basis)]
 
@@ -201,8 +221,9 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
     """
-    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(arrays.plain.Float, camera)
-    vx, vy, vz = _in_camera(rotation, _from_eye(means, eye))
+    view = camera_numbers(arrays.plain.Float, camera)
+    (fx, fy), (cx, cy), (limit_x, limit_y) = view.focal, view.centre, view.limits
+    vx, vy, vz = _in_camera(view.rotation, _from_eye(means, view.eye))
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
     tx, ty = vx * inverse_z, vy * inverse_z
@@ -218,17 +239,16 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """
     seen, x, y, spread = view_position(arrays, means, camera)
     reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)
-    half_width, half_height = _opaque(arrays.plain.Float, camera)[4]
+    half_width, half_height = camera_numbers(arrays.plain.Float, camera).half
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)
 
 
 @lru_cache(maxsize=4)
-def _opaque(number: Any, camera: Camera) -> tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]:
-    """Rotation (9, row by row) and eye in float64; fx, fy, cx, cy; limits of the tangents; half the size.
+def camera_numbers(number: Any, camera: Camera) -> CameraNumbers:
+    """Those of a camera, in types that go with a kind of Float.
 
-    Opaque, so that one kernel serves every camera: literals would be compiled into it. Uploaded together, and
-    kept, since a view has several layers.
+    Uploaded together, and kept, since a view has several layers.
     """
     half = [
         max(camera.cx, camera.width - camera.cx) / camera.fx,
@@ -244,11 +264,11 @@ def _opaque(number: Any, camera: Camera) -> tuple[list[Any], list[Any], list[Any
     found = [dr.gather(double, table, first + k) for k in range(len(values))]
     found[12:] = [number(value) for value in found[12:]]
     dr.eval(found)
-    return found[:9], found[9:12], found[12:16], found[16:18], found[18:]
+    return CameraNumbers(found[:9], found[9:12], found[12:14], found[14:16], found[16:18], found[18:])
 
 
 # Dr.Jit complains of arrays that outlive it.
-atexit.register(_opaque.cache_clear)
+atexit.register(camera_numbers.cache_clear)
 
 
 def _from_eye(means: list[Any], eye: list[Any]) -> list[Any]:

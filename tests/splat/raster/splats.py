@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from splat.raster.binning import Bins, Candidates, TileBounds, boxed, depth_order
-from splat.raster.blending import added_sums, gradients_from_sums, no_sums, rasterize
+from splat.raster.blending import gradients_from_sums, rasterize, sums_of_bins
 from splat.raster.projection import Splats
 from splat.raster.tiles import TileGrid
 from tests.splat.raster import reference
@@ -111,5 +111,5 @@ def blended_records(arrays, splats: Splats):
 
 def rasterize_backward(arrays, splats: Splats, bins: Bins, image, gradient) -> list:
     """Gradients by the splats from the lists of all tiles at once."""
-    blended, sums = blended_records(arrays, splats), no_sums(arrays, splats)
-    return gradients_from_sums(splats, added_sums(arrays, blended, bins, image, gradient, sums))
+    sums = sums_of_bins(arrays, blended_records(arrays, splats), bins, image, gradient)
+    return gradients_from_sums(splats, sums)

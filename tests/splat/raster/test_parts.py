@@ -7,7 +7,8 @@ import pytest
 
 from splat.raster import parts as parts_module
 from splat.raster.binning import TileBounds
-from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
+from splat.raster.blending import gradients_from_sums
+from splat.raster.parts import Parts, rasterize_parts, sums_of_parts
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme
 from tests.splat.raster.splats import (
@@ -57,7 +58,7 @@ def test_parts_have_the_bits_of_one_pass(each_arrays, got, at_once, pairs):
     # A single row of tiles has more than 150 of them, a single tile more than one.
     assert got(len(list(parts))) >= {1000: 2, 150: 8, 1: GRID.rows * GRID.columns}[pairs]
     np.testing.assert_array_equal(rasterize_parts(each_arrays, parts)[0].numpy(), image.numpy())
-    found = rasterize_parts_backward(each_arrays, splats, parts, image, gradient)
+    found = gradients_from_sums(splats, sums_of_parts(each_arrays, parts, image, gradient))
     for part, whole in zip(found, expected, strict=True):
         np.testing.assert_array_equal(part.numpy(), whole.numpy())
 
@@ -95,7 +96,7 @@ def test_nothing_to_draw_is_black(each_arrays, at_once):
     parts = Parts(candidates_of(each_arrays, splats, GRID))
     (image,) = rasterize_parts(each_arrays, parts)
     assert not image.numpy().any()
-    gradients = rasterize_parts_backward(each_arrays, splats, parts, image, flow(each_arrays))
+    gradients = gradients_from_sums(splats, sums_of_parts(each_arrays, parts, image, flow(each_arrays)))
     assert not any(gradient.numpy().any() for gradient in gradients)
 
 
