@@ -61,35 +61,22 @@ class Arrays:
         """Flat tensor of an array's elements; shares the memory on the CPU."""
         return dr.detach(array, preserve_type=False).torch().to(device)
 
-    def concatenated(self, parts: Sequence[Any], size: int) -> Any:
-        """Concatenates arrays of one type; behind them, any numbers, up to a size.
-
-        Unlike `dr.concat`, which compiles a kernel for every combination of widths.
-        """
-        kind, widths = type(parts[0]), [dr.width(part) for part in parts]
-        result, start = dr.empty(kind, size), 0
-        for part, width in zip(parts, widths, strict=True):
-            # Dr.Jit refuses arithmetic with arrays of width 0.
-            if width:
-                index = dr.arange(self.plain.UInt, width) + self.constant(start)
-                dr.scatter(result, part, index, mode=dr.ReduceMode.Permute)
-            start += width
-        return result
-
     def argsort(self, key: Any, bound: int) -> Any:
         """Indices that sort keys, UInt (N,) less than `bound`, stably: equal keys keep their order.
 
-        On the CPU this is a radix sort of one pass for bounds up to 2^14, or up to a quarter of the keys'
-        number, and of two for bounds up to 2^22, where `dr.argsort` takes three.
+        This is a radix sort; `dr.argsort` sorts by all 32 bits. On the CPU it takes one pass for bounds up to
+        2^14, or up to a quarter of the keys' number, and two for bounds up to 2^22; on a card a pass for each
+        8 bits.
         """
         count = dr.width(key)
-        if self.backend != "llvm" or not count:
-            return dr.argsort(key)
+        if not count or bound <= 1:
+            return dr.arange(self.plain.UInt, count)
+        on_cpu = self.backend == "llvm"
         # The counters of 2^14 buckets fit the cache; those of more buckets are worth it if all are used.
-        if bound <= max(1 << 14, count // _KEYS_PER_BUCKET):
+        if on_cpu and bound <= max(1 << 14, count // _KEYS_PER_BUCKET):
             dr.eval(key)
             return dr.detail.block_mkperm(key, count, bound)
-        order, shift, bits = None, 0, 11
+        order, shift, bits = None, 0, 11 if on_cpu else 8
         while bound > 1 << shift:
             digits = key if order is None else dr.gather(self.plain.UInt, key, order)
             digit = digits >> shift & (1 << bits) - 1

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
+from compose.base.frozen import Frozen, capacity
 from compose.camera.camera import Camera
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
@@ -22,8 +23,10 @@ from splat.model.gaussians import Directional, Gaussians, as_rows
 from splat.raster.binning import depth_order
 from splat.raster.projection import (
     PIXEL_FILTER,
+    CameraNumbers,
     Footprints,
     Parameters,
+    camera_numbers,
     directional_constant,
     footprints,
     may_show,
@@ -108,7 +111,7 @@ class ForestFootprints:
             for (first, end), changes in zip(ranges, self._changes, strict=True)
         ]
         self._key: tuple[bytes, float] | None = None
-        self._layers: dict[int, Records | None] = {}
+        self._layers: dict[int, tuple[Records, Any, int] | None] = {}
         # The records of all cached layers, and where each layer lies among them.
         self._records: Records | None = None
         self._ranges: dict[int, range] = {}
@@ -148,7 +151,7 @@ class ForestFootprints:
                 self._layers[n] = self._visible(own, n, self._key[1])
             parts = [part for part in self._layers.values() if part is not None]
             self._records = concatenated_records(parts) if parts else None
-            counts = (0 if part is None else len(part) for part in self._layers.values())
+            counts = (0 if part is None else part[2] for part in self._layers.values())
             ranges = starmap(range, pairwise(accumulate(counts, initial=0)))
             self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
@@ -159,21 +162,22 @@ class ForestFootprints:
         assert self._records is not None
         return self._records
 
-    def _visible(self, camera: Camera, layer: int, blur: float) -> Records | None:
-        """The nodes of a layer that reach into the frame of a camera in their own coordinates."""
+    def _visible(self, camera: Camera, layer: int, blur: float) -> tuple[Records, Any, int] | None:
+        """The nodes of a layer that reach into the frame of a camera in their own coordinates.
+
+        Records, indices from near to far, and how many of those matter.
+        """
         bounds, plain = self._bounds[layer - 1], self.arrays.plain
         if not dr.width(bounds.size):
             return None
         low_pass = PIXEL_FILTER * blur**2
         index = dr.compress(may_show(self.arrays, bounds.means, bounds.size, camera, low_pass))
-        if not dr.width(index):
+        count = dr.width(index)
+        if not count:
             return None
-        raw = footprints(self._nodes.parameters(index + bounds.first, camera), camera)
-        records = _FOOTPRINT.pack(self.arrays, **vars(raw))
-        dr.eval(records.tables, raw.depth)
-        ordered = records.gathered(depth_order(self.arrays, raw.depth, plain.Bool(True)))
-        dr.eval(ordered.tables)
-        return ordered
+        records, depth = self._nodes.footprints(index + bounds.first, camera)
+        known = dr.arange(plain.UInt, dr.width(depth)) < self.arrays.constant(count)
+        return records, depth_order(self.arrays, depth, known), count
 
 
 def _row(arrays: Arrays, values: torch.Tensor) -> Any:
@@ -224,14 +228,44 @@ class _NodeTable:
         if self._directional is not None and gaussians.directional is not None:
             self._directional.light(nodes, gaussians.directional)
 
-    def parameters(self, index: Any, camera: Camera) -> Parameters:
-        """Parameters of the nodes at an index (M,), with what they show to a camera as constant harmonics."""
-        node = self._records.at(index)
-        sh = [node.sh[3 * k : 3 * k + 3] for k in range(self._coefficients)]
+    def footprints(self, index: Any, camera: Camera) -> tuple[Records, Any]:
+        """Footprints and depths of the nodes at an index (M,); behind them any, up to a capacity."""
+        arrays, count, added = self._arrays, dr.width(index), None
         if self._directional is not None:
+            # What they show to a camera, as constant harmonics.
             added = self._directional.constant(index, self._records, camera)
-            sh = [[own + more for own, more in zip(sh[0], added, strict=True)]]
-        return Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh)
+        dr.eval(index, added)
+        view = camera_numbers(arrays.plain.Float, camera), self._coefficients, capacity(count)
+        return _footprints(arrays, self._records, index, arrays.constant(count), added, *view)
+
+
+def footprints_of_nodes(
+    arrays: Arrays,
+    nodes: Records,
+    index: Any,
+    count: Any,
+    added: list[Any] | None,
+    view: CameraNumbers,
+    coefficients: int,
+    size: int,
+) -> tuple[Records, Any]:
+    """`size` footprints and their depths, of which the first `count` are those of nodes at an index (M,).
+
+    `added` are three channels (M,), to be added to their constant harmonics, of which they have no others.
+    """
+    lane = dr.arange(arrays.plain.UInt, size)
+    known = lane < count
+    node = nodes.at(dr.gather(arrays.plain.UInt, index, lane, known))
+    sh = [node.sh[3 * k : 3 * k + 3] for k in range(coefficients)]
+    if added is not None:
+        more = (dr.gather(type(channel), channel, lane, known) for channel in added)
+        sh = [[own + further for own, further in zip(sh[0], more, strict=True)]]
+    parameters = Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh)
+    raw = footprints(parameters, view)
+    return _FOOTPRINT.pack(arrays, **vars(raw)), raw.depth
+
+
+_footprints = Frozen(footprints_of_nodes)
 
 
 class _DirectionalTable:

@@ -126,12 +126,15 @@ class RecordLayout:
 
     def scattered(self, arrays: Arrays, packets: Sequence[Any], count: int) -> Records:
         """`count` records of packets, one ArrayXf per load."""
-        sizes = [packet.size * packet.stride for packet in self.packets if packet.offset == 0]
-        tables = [dr.empty(arrays.plain.Float, size * count) for size in sizes]
-        record = dr.arange(arrays.plain.UInt, count)
+        tables, record = self.tables(arrays, count), dr.arange(arrays.plain.UInt, count)
         for packet, values in zip(self.packets, packets, strict=True):
             dr.scatter(tables[packet.table], values, packet.index(record), mode=dr.ReduceMode.Permute)
         return Records(arrays, self, tables)
+
+    def tables(self, arrays: Arrays, count: int) -> list[Any]:
+        """Memory for so many records."""
+        sizes = [packet.size * packet.stride for packet in self.packets if packet.offset == 0]
+        return [dr.empty(arrays.plain.Float, size * count) for size in sizes]
 
     def _check_names(self, values: Mapping[str, Any]) -> None:
         if values.keys() != self.slots.keys():
@@ -152,7 +155,7 @@ class Records:
 
     def at(self, index: Any) -> SimpleNamespace:
         """The records at an index (M,): by slot an array (M,), or a list of them for a slot wider than 1."""
-        floats = [value for packet in self._packets(index) for value in packet]
+        floats = [value for packet in self.packets(index) for value in packet]
         found = {}
         for name, slot in self.layout.slots.items():
             value = floats[slot] if slot.stop - slot.start > 1 else floats[slot.start]
@@ -174,9 +177,9 @@ class Records:
 
     def gathered(self, index: Any) -> Records:
         """Copies of the records at an index (M,), in that order."""
-        return self.layout.scattered(self.arrays, self._packets(index), dr.width(index))
+        return self.layout.scattered(self.arrays, self.packets(index), dr.width(index))
 
-    def _packets(self, index: Any) -> list[Any]:
+    def packets(self, index: Any) -> list[Any]:
         """The packets of the records at an index, one ArrayXf per load."""
         ArrayXf, width = self.arrays.plain.ArrayXf, dr.width(index)
         return [
@@ -185,16 +188,22 @@ class Records:
         ]
 
 
-def concatenated_records(parts: Sequence[Records]) -> Records:
-    """All records of several parts of one layout, in order; behind them, any numbers, up to a capacity."""
-    arrays, layout, size = parts[0].arrays, parts[0].layout, capacity(sum(map(len, parts)))
-    widths = [packet.size * packet.stride for packet in layout.packets if packet.offset == 0]
-    tables = zip(*(part.tables for part in parts), strict=True)
-    return Records(
-        arrays,
-        layout,
-        [arrays.concatenated(of, size * width) for of, width in zip(tables, widths, strict=True)],
-    )
+def concatenated_records(parts: Sequence[tuple[Records, Any, int]]) -> Records:
+    """Some records of several parts of one layout, in order; behind them, any numbers, up to a capacity.
+
+    Of each part there are its records, indices of some, and how many of those matter.
+    """
+    arrays, layout = parts[0][0].arrays, parts[0][0].layout
+    tables, start = layout.tables(arrays, capacity(sum(count for _, _, count in parts))), 0
+    for records, index, count in parts:
+        lane = dr.arange(arrays.plain.UInt, dr.width(index))
+        known, target = lane < arrays.constant(count), lane + arrays.constant(start)
+        for packet, values in zip(layout.packets, records.packets(index), strict=True):
+            at = packet.index(target)
+            dr.scatter(tables[packet.table], values, at, known, mode=dr.ReduceMode.Permute)
+        start += count
+    dr.eval(tables)
+    return Records(arrays, layout, tables)
 
 
 def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -> Records:

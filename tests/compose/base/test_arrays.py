@@ -84,15 +84,6 @@ def test_on_the_cpu_memory_is_shared():
     assert array.numpy().tolist() == [0, 0, 5, 0]
 
 
-def test_concatenation_keeps_the_order_and_skips_empty_parts(arrays):
-    UInt = arrays.plain.UInt
-    parts = [UInt([3, 1, 8]), dr.zeros(UInt, 0), UInt([7]), UInt([2, 9, 4])]
-    assert arrays.concatenated(parts, 7).numpy().tolist() == [3, 1, 8, 7, 2, 9, 4]
-    assert dr.width(arrays.concatenated([dr.zeros(UInt, 0)], 0)) == 0
-    larger = arrays.concatenated(parts, 16).numpy()
-    assert (len(larger), larger[:7].tolist()) == (16, [3, 1, 8, 7, 2, 9, 4])
-
-
 # One pass up to 16384 or a quarter of the count, two of 11 bits up to 2^22, three beyond.
 @pytest.mark.parametrize("bound", [1, 2, 5, 2047, 16384, 16385, 70_000, 1 << 22, (1 << 22) + 1, 1 << 26])
 @pytest.mark.parametrize("count", [1, 1000, 100_000])

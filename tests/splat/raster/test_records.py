@@ -86,9 +86,14 @@ def test_uploaded_records_equal_packed_ones(arrays, loads):
 
 def test_records_are_concatenated_table_by_table(arrays):
     layout = RecordLayout((2, 1), x=1, y=1, z=1)
-    parts = [layout.upload(arrays, x=[k], y=[k + 1], z=[k + 2]) for k in (0, 10, 20)]
-    found = concatenated_records(parts).at(arrays.plain.UInt([2, 0]))
-    assert [value.numpy().tolist() for value in (found.x, found.y, found.z)] == [[20, 0], [21, 1], [22, 2]]
+    """Of each part, the first two of three indices."""
+    layout, some = RecordLayout((2, 1), x=1, y=1, z=1), arrays.plain.UInt([1, 0, 1])
+    parts = [layout.upload(arrays, x=[k, k + 5], y=[k + 1] * 2, z=[k + 2] * 2) for k in (0, 10, 20)]
+    whole = concatenated_records([(part, some, 2) for part in parts])
+    found = whole.at(arrays.plain.UInt([5, 4, 0]))
+    rows = [value.numpy().tolist() for value in (found.x, found.y, found.z)]
+    assert rows == [[20, 25, 5], [21, 21, 1], [22, 22, 2]]
+    assert len(whole) == capacity(6)
 
 
 def test_integers_keep_all_their_bits(arrays):
