@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,13 +113,27 @@ def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
     return (denoise_coarsely if quick else denoise)(radiance, albedo, normal)
 
 
+def of_disc(disc: Disc, images: Sequence[Image | torch.Tensor]) -> list[list[Any]]:
+    """Of images (h, w, 3) of the rectangle three Floats (D,) each, the disc's pixels."""
+    arrays, size = disc.arrays, disc.arrays.constant(disc.shape[0] * disc.shape[1])
+    # At once: each tensor that Dr.Jit takes costs as much as a small kernel.
+    values = _flat(arrays, images)
+    at = [disc.inside + size * number for number in range(3 * len(images))]
+    channels = [dr.gather(type(values), values, index) for index in at]
+    return [channels[k : k + 3] for k in range(0, len(channels), 3)]
+
+
 def channels_of(arrays: Arrays, image: Image | torch.Tensor) -> list[Any]:
-    """Floats (h * w,), the channels of an image (h, w, C), planes of which lie side by side."""
-    assert isinstance(image, torch.Tensor)
-    planes = image.permute(2, 0, 1).reshape(image.shape[2], -1).contiguous()
-    if arrays.backend == "cuda" and not image.is_cuda:
-        return [arrays.plain.Float(plane.numpy()) for plane in planes]
-    return [arrays.plain.Float(plane) for plane in planes]
+    """Floats (h * w,), the channels of an image (h, w, C)."""
+    values, size = _flat(arrays, [image]), image.shape[0] * image.shape[1]
+    pixel, step = dr.arange(arrays.plain.UInt, size), arrays.constant(size)
+    return [dr.gather(type(values), values, pixel + step * c) for c in range(image.shape[2])]
+
+
+def _flat(arrays: Arrays, images: Sequence[Image | torch.Tensor]) -> Any:
+    """Float of all channels of images (h, w, C), one plane after another."""
+    planes = torch.cat([torch.as_tensor(image).permute(2, 0, 1).flatten() for image in images])
+    return arrays.plain.Float(planes.numpy() if arrays.backend == "cuda" and not planes.is_cuda else planes)
 
 
 def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
