@@ -12,8 +12,8 @@ import drjit as dr
 
 from compose.base.collector import collector_paused
 
-# Recordings that a function may have before Dr.Jit takes them for a mistake.
-_MANY = 1000
+# Recordings of a function that are kept, and from how many made Dr.Jit would take them for a mistake.
+_KEPT, _MANY = 64, 1 << 30
 # Sizes per octave that arrays are rounded up to, and the least one.
 _PER_OCTAVE, _LEAST = 4, 1024
 
@@ -21,7 +21,6 @@ _PER_OCTAVE, _LEAST = 4, 1024
 def capacity(count: int) -> int:
     """A size of an array for so many elements, at most a fifth too large: recordings differ by size.
 
-    What is recorded has the sizes of its first call, so these may only depend on what tells recordings apart.
     Lanes beyond the elements are masked.
     """
     if count <= _LEAST:
@@ -56,11 +55,14 @@ class Frozen:
         function: takes and returns Dr.Jit arrays, Mitsuba's types, and dataclasses, tuples, lists and dicts
             of them, nested in any way. A dataclass must be made by its fields. Other values are part of the
             recording; their hash must not run Python code either.
+        by_size: whether arguments of other widths are recorded anew. A recording has the numbers of lanes of
+            its first call, and the sizes of arrays made in it, but for what follows elementwise from one of
+            its arguments.
     """
 
-    def __init__(self, function: Callable[..., Any]):
-        self._function = function
-        self._recorded = dr.freeze(self._plain, warn_after=_MANY)
+    def __init__(self, function: Callable[..., Any], by_size: bool = False):
+        self._function, self._by_size = function, by_size
+        self._recorded = dr.freeze(self._plain, limit=_KEPT, warn_after=_MANY)
 
     def __call__(self, *arguments: Any) -> Any:
         with collector_paused():
@@ -68,9 +70,10 @@ class Frozen:
 
     def replayed(self, arguments: tuple[Any, ...]) -> Any:
         """The flattened result; the collector is paused."""
-        return self._recorded(flattened(arguments))
+        flat = flattened(arguments)
+        return self._recorded(flat, _widths(flat) if self._by_size else None)
 
-    def _plain(self, arguments: Any) -> Any:
+    def _plain(self, arguments: Any, widths: Any) -> Any:
         """The function from flattened arguments to a flattened result; frozen."""
         return flattened(self._function(*rebuilt(arguments)))
 
@@ -102,6 +105,13 @@ def rebuilt(value: Any) -> Any:
         return parts[0].value
     whole = map(rebuilt, parts)
     return kind(whole) if names is None else kind(**dict(zip(names, whole, strict=True)))
+
+
+def _widths(value: Any) -> Any:
+    """Widths of all arrays in what was flattened."""
+    if type(value) is tuple:
+        return tuple(map(_widths, value))
+    return dr.width(value) if isinstance(value, dr.ArrayBase) else None
 
 
 # What `_names` says of types of `Passed`.

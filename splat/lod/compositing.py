@@ -138,7 +138,7 @@ def composited(arrays: Arrays, mixture: Mixture, atlas: Any, frame: Any = None) 
     return frame
 
 
-_composited = Frozen(composited)
+_composited = Frozen(composited, by_size=True)
 
 
 class _Block:

@@ -40,13 +40,13 @@ from splat.lod.layer_images import (
 )
 from splat.lod.node_selection import EntryTable, chosen
 from splat.model.forest import Forest
-from splat.raster.binning import Candidates, TileBounds, boxed, lists, run_lengths
+from splat.raster.binning import Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
 from splat.raster.blending import ImageSplit, blend, jumps
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import PAIRS_AT_ONCE, Parts, rasterize_parts
 from splat.raster.projection import PIXEL_FILTER, Footprints, Splats, filtered
 from splat.raster.records import Records
-from splat.raster.tiles import TILE, GridNumbers, TileGrid
+from splat.raster.tiles import TILE, TileGrid
 
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
@@ -231,8 +231,8 @@ def splats_of_candidates(
     splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
     splats.opacity = dr.select(known, splats.opacity, 0)
     bounds = TileBounds(entry.columns * split, entry.top * split, entry.bottom * split)
-    result = boxed(arrays, _in_samples(splats, entry.scale, entry.offset), bounds, TILE // split, size)
-    return result, *run_lengths(arrays, result.count, None, size)
+    result = boxed(arrays, _in_samples(splats, entry.scale, entry.offset), bounds, TILE // split)
+    return result, *run_lengths(arrays, result.count, None)
 
 
 def _drawn_images(
@@ -244,20 +244,22 @@ def _drawn_images(
     if not 0 < runs.pairs <= PAIRS_AT_ONCE:
         images = rasterize_parts(arrays, Parts(candidates), heights)
         return images if mixture is None else _mixed(arrays, images, mixture, over)
-    key, splat, _ = candidates.keys(runs)
-    pairs = splat, candidates.sorting(key), dr.width(key), grid.columns * grid.rows
-    leaps = jumps(arrays, runs.pairs, int(np.count_nonzero(candidates.wanted)))
-    blended = candidates.found.blended
-    return _images(arrays, blended, grid.numbers(arrays), key, *pairs, split, leaps, mixture, over)
+    pairs, _ = candidates.sorted(runs)
+    jumping = jumps(arrays, runs.pairs, int(np.count_nonzero(candidates.wanted)))
+    return _images(arrays, candidates.found.blended, pairs, split, jumping, mixture, over)
 
 
 def images_of_pairs(
-    arrays: Arrays, blended: Records, grid: GridNumbers, key: Any, splat: Any, *given: Any
+    arrays: Arrays,
+    blended: Records,
+    pairs: SortedPairs,
+    split: ImageSplit,
+    jumping: bool,
+    mixture: Mixture | None,
+    over: bool,
 ) -> list[Any]:
     """Images of sorted candidates, the last one composited if there is a mixture."""
-    sorting, pairs, tiles, split, leaps, mixture, over = given
-    found = lists(arrays, grid, key, splat, sorting, pairs, tiles)
-    images = blend(arrays, blended, found, split, leaps)
+    images = blend(arrays, blended, lists(arrays, pairs), split, jumping)
     return images if mixture is None else _mixed(arrays, images, mixture, over)
 
 
@@ -269,7 +271,8 @@ def _mixed(arrays: Arrays, images: list[Any], mixture: Mixture, over: bool) -> l
     return [composited(arrays, mixture, atlas), *others]
 
 
-_chosen, _splats, _images = Frozen(chosen), Frozen(splats_of_candidates), Frozen(images_of_pairs)
+_chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)
+_images = Frozen(images_of_pairs, by_size=True)
 
 
 def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:

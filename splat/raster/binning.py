@@ -110,12 +110,10 @@ class Boxed:
     count: Any  # (N,) tiles in each box, 0 for a splat that is not seen
 
 
-def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int, count: int) -> Boxed:
-    """What is read of N = `count` splats for tiles of that side, each confined to some tiles."""
+def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxed:
+    """What is read of splats for tiles of that side, each confined to some tiles."""
     boxes = _boxes(arrays, splats, bounds, side)
-    found = Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, boxes), boxes.across * boxes.down)
-    assert len(found.blended) == count
-    return found
+    return Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, boxes), boxes.across * boxes.down)
 
 
 class Candidates:
@@ -145,7 +143,7 @@ class Candidates:
     @staticmethod
     def of(arrays: Arrays, splats: Splats, grid: TileGrid) -> Candidates:
         """Those of splats in any order, without derivatives, for all tiles."""
-        found = _boxed(arrays, splats, everywhere(arrays, grid), grid.side, dr.width(splats.x))
+        found = _boxed(arrays, splats, everywhere(arrays, grid), grid.side)
         return Candidates(arrays, found, grid, None, depth_order(arrays, splats.depth, found.count > 0))
 
     def runs(self, window: TileWindow) -> Runs:
@@ -160,7 +158,7 @@ class Candidates:
         if window != self.whole:
             boxes, count = _clipped(arrays, boxes, count, window)
         known = self._known if window == self.whole else None
-        end, count = known or _run_lengths(arrays, count, self._order, len(boxes))
+        end, count = known or _run_lengths(arrays, count, self._order)
         # Here, the host waits.
         return Runs(tiles, int(end[len(boxes) - 1]), PairRuns(boxes, self._order, end, count))
 
@@ -172,22 +170,20 @@ class Candidates:
             none = [dr.zeros(UInt, 0) for _ in range(6)]
             empty = Lists(numbers, 0, dr.zeros(UInt, ranges), *none[:3])
             return Bins(arrays, grid, runs.wanted, empty, *none[3:])
-        key, splat, first = self.keys(runs)
-        sizes = dr.width(key), grid.columns * grid.rows
-        lists = _listed(arrays, numbers, key, splat, self.sorting(key), *sizes)
+        pairs, first = self.sorted(runs)
+        lists = _listed(arrays, pairs)
         owner = dr.arange(arrays.plain.UInt, dr.width(first)) if self._order is None else self._order
         return Bins(arrays, grid, runs.wanted, lists, first, runs.of.count, owner)
 
-    def keys(self, runs: Runs) -> tuple[Any, Any, Any]:
-        """Of candidates that are listed as `keys` describes."""
-        arrays, sizes = self._arrays, (dr.width(runs.of.count), capacity(runs.pairs))
-        pairs = arrays.constant(runs.pairs)
-        return _keys(arrays, self.grid.numbers(arrays), runs.of, pairs, self._mask, *sizes)
-
-    def sorting(self, key: Any) -> Any:
-        """Indices that sort candidates by their keys; those of one tile keep their order."""
+    def sorted(self, runs: Runs) -> tuple[SortedPairs, Any]:
+        """The candidates of runs with the indices that sort them, and the first one of each run."""
+        arrays, tiles = self._arrays, self.grid.columns * self.grid.rows
+        grid, size = self.grid.numbers(arrays), capacity(runs.pairs)
+        given = grid, runs.of, self._mask, arrays.constant(runs.pairs), size
+        key, splat, first = _keys(arrays, *given)
         # Not in a recording: on a card, Dr.Jit 1.5 ends the process when it replays a sort.
-        return self._arrays.argsort(key, self.grid.columns * self.grid.rows + 1)
+        sorting = arrays.argsort(key, tiles + 1)
+        return SortedPairs(grid, tiles, size, key, splat, sorting), first
 
 
 def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
@@ -291,8 +287,8 @@ class Runs:
     of: Any = None  # their `PairRuns`, if there are any
 
 
-def run_lengths(arrays: Arrays, count: Any, order: Any, splats: int) -> tuple[Any, Any]:
-    """`end` and `count` of `PairRuns` of so many splats.
+def run_lengths(arrays: Arrays, count: Any, order: Any) -> tuple[Any, Any]:
+    """`end` and `count` of `PairRuns`.
 
     In 64 bits: many splats on a large frame are more pairs than 32 bits count.
     """
@@ -301,31 +297,28 @@ def run_lengths(arrays: Arrays, count: Any, order: Any, splats: int) -> tuple[An
     wide = arrays.plain.UInt64(count)
     # In one kernel with what the splats are packed into.
     dr.eval(wide, count)
-    end = dr.cumsum(wide)
-    assert dr.width(end) == splats
-    return end, count
+    return dr.cumsum(wide), count
 
 
 def keys(
     arrays: Arrays,
     grid: GridNumbers,
     runs: PairRuns,
-    pairs: Any,
     wanted: Any,
-    splats: int,
+    pairs: Any,
     size: int,
 ) -> tuple[Any, Any, Any]:
     """For each of `size` candidates the key that it is sorted by and its splat; the first one of each run.
 
     The key is the number of the tile, or that of all tiles for a candidate that need not be drawn, and for
-    what lies behind the last one. The runs are of so many splats; `pairs` is the number of candidates and
-    `wanted` the mask of tiles, or None, both in memory. Where there are more pairs than 32 bits count, first
+    what lies behind the last one. `wanted` is the mask of tiles, or None,
+    and `pairs` the number of candidates, both in memory. Where there are more pairs than 32 bits count, first
     ones wrap: whoever asks must split the window.
     """
     UInt = arrays.plain.UInt
     # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
     marks, first = dr.zeros(UInt, size), UInt(runs.end) - runs.count
-    dr.scatter(marks, dr.arange(UInt, splats), first, runs.count > 0)
+    dr.scatter(marks, dr.arange(UInt, dr.width(first)), first, runs.count > 0)
     dr.eval(marks, first)
     run = dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
     splat = run if runs.order is None else dr.gather(UInt, runs.order, run)
@@ -371,26 +364,36 @@ def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, s
     return nearest <= 2 * dr.log(splat.opacity * (1 / MINIMUM_ALPHA)) + 1e-3
 
 
-def lists(
-    arrays: Arrays, grid: GridNumbers, key: Any, splat: Any, sorting: Any, pairs: int, tiles: int
-) -> Lists:
-    """The lists of tiles from candidates, `pairs` of them, and the indices that sort them; not evaluated."""
+@dataclass(frozen=True)
+class SortedPairs:
+    """Candidates (P,) and the indices that sort them by tile; those of one tile keep their order."""
+
+    grid: GridNumbers
+    tiles: int
+    pairs: int  # P
+    key: Any  # key, splat: (P,) as `keys` gives them
+    splat: Any
+    sorting: Any  # (P,) indices
+
+
+def lists(arrays: Arrays, of: SortedPairs) -> Lists:
+    """The lists of tiles; not evaluated."""
     UInt = arrays.plain.UInt
     # What no pair says: lists, also empty ones, end behind the last pair, and so do those to be blended.
-    ranges = dr.full(UInt, pairs, 2 * (tiles + 1))
-    lane = dr.arange(UInt, pairs)
-    own = dr.gather(UInt, key, sorting)
-    before = dr.gather(UInt, key, dr.gather(UInt, sorting, lane - 1, lane > 0), lane > 0)
+    ranges = dr.full(UInt, of.pairs, 2 * (of.tiles + 1))
+    lane = dr.arange(UInt, of.pairs)
+    own = dr.gather(UInt, of.key, of.sorting)
+    before = dr.gather(UInt, of.key, dr.gather(UInt, of.sorting, lane - 1, lane > 0), lane > 0)
     dr.scatter(ranges, lane, own * 2, (lane == 0) | (own != before))
     dr.scatter(ranges, lane, before * 2 + 1, (lane > 0) & (own != before))
-    return Lists(grid, pairs, ranges, dr.gather(UInt, splat, sorting), own, sorting)
+    return Lists(of.grid, of.pairs, ranges, dr.gather(UInt, of.splat, of.sorting), own, of.sorting)
 
 
-def _evaluated_lists(*given: Any) -> Lists:
-    found = lists(*given)
+def _evaluated_lists(arrays: Arrays, of: SortedPairs) -> Lists:
+    found = lists(arrays, of)
     dr.eval(found.ranges, found.splat, found.tile)
     return found
 
 
-_boxed, _run_lengths, _keys = Frozen(boxed), Frozen(run_lengths), Frozen(keys)
-_listed = Frozen(_evaluated_lists)
+_boxed, _run_lengths = Frozen(boxed, by_size=True), Frozen(run_lengths, by_size=True)
+_keys, _listed = Frozen(keys, by_size=True), Frozen(_evaluated_lists, by_size=True)

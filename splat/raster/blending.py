@@ -56,11 +56,10 @@ def rasterize(
     split = ImageSplit.of(arrays, grid, heights or [grid.rows])
     if not size:
         return images or split.new(arrays, dr.zeros)
-    leaps = jumps(arrays, size, int(np.count_nonzero(bins.wanted)))
+    jumping = jumps(arrays, size, int(np.count_nonzero(bins.wanted)))
     if images is not None:
-        tiles = dr.width(bins.tiles), bins.tiles
-        return blend(arrays, blended, bins.lists, split, leaps, images, *tiles)
-    return _blend(arrays, blended, bins.lists, split, leaps)
+        return blend(arrays, blended, bins.lists, split, jumping, images, bins.tiles)
+    return _blend(arrays, blended, bins.lists, split, jumping)
 
 
 def stays_together(arrays: Arrays) -> bool:
@@ -100,22 +99,22 @@ def blend(
     blended: Records,
     lists: Lists,
     split: ImageSplit,
-    leaps: bool,
+    jumping: bool,
     images: list[Any] | None = None,
-    count: int = 0,
     tiles: Any = None,
 ) -> list[Any]:
-    """Draws the lists of all tiles into new images, or those of `count` given tiles into some.
+    """Draws the lists of all tiles into new images, or those of some tiles into given ones.
 
-    `leaps` says whether lanes jump over what they do not show.
+    `jumping` says whether lanes jump over what they do not show.
     """
     Float = arrays.plain.Float
     if images is None:
         # They need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
-        images, count = split.new(arrays, dr.empty), sum(split.heights) * split.columns
+        images = split.new(arrays, dr.empty)
+    count = sum(split.heights) * split.columns if tiles is None else dr.width(tiles)
     records = records_of_pairs(blended, lists)
     block = Blocks.of_tiles(arrays, lists, count, tiles)
-    shown = Shown(arrays, lists, records) if leaps else None
+    shown = Shown(arrays, lists, records) if jumping else None
 
     def following(i: Any) -> Any:
         return i if shown is None else shown.following(i, block.last, block.number)
@@ -154,7 +153,7 @@ def blend(
     return images
 
 
-_blend = Frozen(blend)
+_blend = Frozen(blend, by_size=True)
 
 
 # Sums per pair: the six moments and the three channels of `_block_sums`. In packets, to which the lanes of a
@@ -178,7 +177,7 @@ def sums_of_bins(arrays: Arrays, blended: Records, bins: Bins, image: Any, gradi
     """
     if not bins.lists.pairs:
         return no_sums(arrays, len(blended))
-    return _sums(*_of_bins(arrays, blended, bins), image, gradient)
+    return _sums(arrays, WalkedLists.of(arrays, blended, bins), image, gradient)
 
 
 def added_sums(
@@ -187,32 +186,30 @@ def added_sums(
     """`sums_of_bins`, added to those over tiles further up, and to the left in the same row."""
     if not bins.lists.pairs:
         return sums
-    return sums_of_lists(*_of_bins(arrays, blended, bins), image, gradient, sums)
-
-
-def _of_bins(arrays: Arrays, blended: Records, bins: Bins) -> tuple[Any, ...]:
-    """The first arguments of `sums_of_lists`."""
-    runs = SplatRuns(bins.first, bins.count, bins.owner)
-    tiles = bins.tiles
-    return arrays, blended, bins.lists, runs, tiles, dr.width(tiles), len(blended), not stays_together(arrays)
+    return sums_of_lists(arrays, WalkedLists.of(arrays, blended, bins), image, gradient, sums)
 
 
 @dataclass(frozen=True)
-class SplatRuns:
-    """The run of pairs of each of S splats, as `Bins` has them."""
+class WalkedLists:
+    """The lists of some tiles, and the splats in them, as a recording takes them."""
 
-    first: Any
+    blended: Records
+    lists: Lists
+    tiles: Any  # (T,) numbers of the tiles
+    first: Any  # first, count, owner: as in `Bins`
     count: Any
     owner: Any
+    alone: bool  # whether lanes go by themselves
+
+    @staticmethod
+    def of(arrays: Arrays, blended: Records, bins: Bins) -> WalkedLists:
+        """Those of the wanted tiles."""
+        runs = bins.first, bins.count, bins.owner
+        return WalkedLists(blended, bins.lists, bins.tiles, *runs, not stays_together(arrays))
 
 
 def sums_of_lists(
-    arrays: Arrays,
-    blended: Records,
-    lists: Lists,
-    runs: SplatRuns,
-    tiles: Any,
-    *given: Any,
+    arrays: Arrays, walked: WalkedLists, image: Any, gradient: Any, sums: list[Any] | None = None
 ) -> list[Any]:
     """Nine (N,) sums over the lists of some tiles, added to earlier ones if there are any.
 
@@ -222,21 +219,16 @@ def sums_of_lists(
 
     S is exact to some 1e-7 of the final colour. Behind a splat that is a million times brighter than all
     that lies behind it, gradients are noise of that size.
-
-    Args:
-        tiles: their numbers.
-        given: the number of tiles and that of splats, N; whether lanes go by themselves; image and gradient,
-            as in `sums_of_bins`; earlier sums.
     """
-    count, splats, alone, image, gradient, *sums = given
+    lists, alone = walked.lists, walked.alone
     UInt = arrays.plain.UInt
-    records = records_of_pairs(blended, lists)
+    records = records_of_pairs(walked.blended, lists)
     walk = _Walk(arrays, lists, records, image, gradient, Shown(arrays, lists, records) if alone else None)
     slots = [dr.zeros(arrays.plain.Float, p.size * lists.pairs) for p in walk.layout.packets]
     if alone:
         # A vector has four lanes or more and so all those of a tile: two threads never add to a pair.
-        lane = dr.arange(UInt, count * LANES_ACROSS)
-        tile, column = dr.gather(UInt, tiles, lane // LANES_ACROSS), lane % LANES_ACROSS
+        lane = dr.arange(UInt, dr.width(walked.tiles) * LANES_ACROSS)
+        tile, column = dr.gather(UInt, walked.tiles, lane // LANES_ACROSS), lane % LANES_ACROSS
         _, slots = dr.while_loop(
             (dr.zeros(UInt, dr.width(lane)), slots),
             lambda row, slots: row < LANES_ACROSS,
@@ -244,15 +236,15 @@ def sums_of_lists(
             mode="symbolic",
         )
     else:
-        lane = dr.arange(UInt, count * LANES_ACROSS**2)
-        tile = dr.gather(UInt, tiles, lane // LANES_ACROSS**2)
+        lane = dr.arange(UInt, dr.width(walked.tiles) * LANES_ACROSS**2)
+        tile = dr.gather(UInt, walked.tiles, lane // LANES_ACROSS**2)
         slots = walk.added(tile, lane % LANES_ACROSS**2, slots)
     dr.eval(slots)
-    earlier = sums[0] if sums else no_sums(arrays, splats)
-    return _sum_runs(arrays, runs, Records(arrays, walk.layout, slots), earlier)
+    earlier = sums or no_sums(arrays, len(walked.blended))
+    return _sum_runs(arrays, walked, Records(arrays, walk.layout, slots), earlier)
 
 
-_sums = Frozen(sums_of_lists)
+_sums = Frozen(sums_of_lists, by_size=True)
 
 
 @dataclass(frozen=True)
@@ -356,21 +348,21 @@ def _block_sums(
     return moments + colours
 
 
-def _sum_runs(arrays: Arrays, runs: SplatRuns, slots: Records, sums: list[Any]) -> list[Any]:
+def _sum_runs(arrays: Arrays, walked: WalkedLists, slots: Records, sums: list[Any]) -> list[Any]:
     """(N,) sums over each splat's pairs, added to earlier ones always in the same order."""
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
 
     def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
         return i + 1, [s + further for s, further in zip(sums, slots.at(i).sums, strict=True)]
 
-    end = runs.first + runs.count
-    state = (UInt(runs.first), [dr.gather(Float, values, runs.owner) for values in sums])
+    end = walked.first + walked.count
+    state = (UInt(walked.first), [dr.gather(Float, values, walked.owner) for values in sums])
     _, added = dr.while_loop(state, lambda i, sums: i < end, add, mode="symbolic")
     dr.eval(added)
     totals = []
     for values, earlier in zip(added, sums, strict=True):
         total = Float(earlier)
-        dr.scatter(total, values, runs.owner, mode=dr.ReduceMode.Permute)
+        dr.scatter(total, values, walked.owner, mode=dr.ReduceMode.Permute)
         totals.append(total)
     dr.eval(totals)
     return totals

@@ -193,9 +193,7 @@ class _Render(torch.autograd.Function):
         grid = TileGrid(camera.width, camera.height)
         plain = arrays.plain
         view = camera_numbers(plain.Float, camera), constant(plain.Float, low_pass)
-        splats, found = _projected(
-            arrays, rows, *view, everywhere(arrays, grid), grid.side, dr.width(rows[0])
-        )
+        splats, found = _projected(arrays, rows, *view, everywhere(arrays, grid), grid.side)
         order = depth_order(arrays, splats.depth, found.count > 0)
         parts = Parts(Candidates(arrays, found, grid, None, order))
         (image,) = rasterize_parts(arrays, parts)
@@ -222,8 +220,8 @@ class _Render(torch.autograd.Function):
         beyond = (0, CHANNELS - 3, 0, grid.padded_width - grid.width, 0, grid.padded_height - grid.height)
         flow = dr.detach(arrays.from_torch(functional.pad(gradient, beyond)), preserve_type=False)
         _wait_for_torch(gradient.device)
-        sums, count = sums_of_parts(arrays, parts, image, flow), dr.width(rows[0])
-        block = _by_parameters(arrays, rows, *view, splats, sums, arrays.constant(count), count)
+        sums, count = sums_of_parts(arrays, parts, image, flow), arrays.constant(dr.width(rows[0]))
+        block = _by_parameters(arrays, rows, *view, splats, sums, count)
         found = arrays.to_torch(block, gradient.device).reshape(len(rows), -1)
         sizes = [shape.numel() // shape[-1] for shape in shapes]
         results = [part.reshape(s) for part, s in zip(found.split(sizes), shapes, strict=True)]
@@ -237,22 +235,27 @@ def parameters_of(rows: list[Any]) -> Parameters:
 
 
 def projected_splats(
-    arrays: Arrays, rows: list[Any], view: CameraNumbers, low_pass: Any, bounds: TileBounds, *sizes: int
+    arrays: Arrays, rows: list[Any], view: CameraNumbers, low_pass: Any, bounds: TileBounds, side: int
 ) -> tuple[Splats, Boxed]:
-    """Splats of Gaussians, and those as boxed for tiles; the sizes are the tiles' side and their number."""
+    """Splats of Gaussians, and those as boxed for tiles of that side."""
     splats = project(parameters_of(rows), view, low_pass)
-    return splats, boxed(arrays, splats, bounds, *sizes)
+    return splats, boxed(arrays, splats, bounds, side)
 
 
 def gradients_of_rows(
-    arrays: Arrays, rows: list[Any], view: CameraNumbers, low_pass: Any, *given: Any
+    arrays: Arrays,
+    rows: list[Any],
+    view: CameraNumbers,
+    low_pass: Any,
+    splats: Splats,
+    sums: list[Any],
+    step: Any,
 ) -> Any:
     """Gradients by the rows of N Gaussians, one after the other in one array: torch has nothing to copy.
 
-    Args:
-        given: the splats and `sums_of_parts`; N, in memory and as a number.
+    `sums` are those of `sums_of_parts`, and `step` is N in memory.
     """
-    splats, sums, step, count = given
+    count = dr.width(rows[0])
     leaves = [arrays.ad.Float(row) for row in rows]
     dr.enable_grad(leaves)
     outputs = project(parameters_of(leaves), view, low_pass).differentiable()
@@ -268,7 +271,8 @@ def gradients_of_rows(
     return block
 
 
-_projected, _by_parameters = Frozen(projected_splats), Frozen(gradients_of_rows)
+_projected = Frozen(projected_splats, by_size=True)
+_by_parameters = Frozen(gradients_of_rows, by_size=True)
 
 
 def _wait_for_torch(device: torch.device) -> None:

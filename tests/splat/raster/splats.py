@@ -87,7 +87,7 @@ def candidates_of(arrays, splats: Splats, grid, wanted=None, bounds=None, in_ord
     """Candidates of splats, each confined to some tiles, and in order from near to far or not."""
     UInt = arrays.plain.UInt
     bounds = bounds or TileBounds(UInt(grid.columns), UInt(0), UInt(grid.rows))
-    found = boxed(arrays, splats, bounds, grid.side, dr.width(splats.x))
+    found = boxed(arrays, splats, bounds, grid.side)
     return Candidates(
         arrays, found, grid, wanted, None if in_order else depth_order(arrays, splats.depth, found.count > 0)
     )
