@@ -9,7 +9,9 @@ import pytest
 import torch
 from scipy.ndimage import map_coordinates
 
+from compose.base.frozen import Frozen
 from compose.camera.camera import Camera
+from splat.lod import forest_renderer
 from splat.lod.forest_renderer import ForestRenderer, finest_frequency
 from splat.lod.layer_images import LayerImage, Under
 from splat.model.forest import Forest, forest_of
@@ -304,3 +306,24 @@ def test_what_lies_under_a_frame_is_the_layer_alone(arrays, forest, camera):
         nothing = renderer.render(camera, [], lattice, np.zeros_like(cells), Under(layer, covered))
         assert (nothing[0].numpy() == 0).all()
         alike(nothing[1].numpy(), found if covered.any() else 0)
+
+
+def test_a_gaze_that_moves_replays_what_was_recorded(arrays, monkeypatch):
+    """The numbers of nodes, pairs and rows change, but what is drawn needs few recordings."""
+    recorded: list[int] = []
+
+    def counted(*given):
+        recorded.append(len(recorded))
+        return forest_renderer.images_of_pairs(*given)
+
+    monkeypatch.setattr(forest_renderer, "_images", Frozen(counted, by_size=True))
+    renderer, camera = ForestRenderer(arrays, small_forest()), frame_camera()
+    for step in range(12):
+        fine = ramp(1, 0) * np.float32(1 - step / 24)
+        images = [LayerImage(3, 0, fine), LayerImage(2, 1, 1 - fine)]
+        wanted = everything()
+        wanted[:, step // 2 : step // 2 + 2] = False
+        frame = drawn(renderer, camera, images, no_cutoff(), wanted).numpy()
+        assert frame.max() > 0
+        np.testing.assert_array_equal(frame[:, 16 * (step // 2) : 16 * (step // 2 + 2)], 0)
+    assert 0 < len(recorded) <= 4
