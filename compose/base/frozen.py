@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Any
 
@@ -26,6 +26,17 @@ def capacity(count: int) -> int:
     if count <= _LEAST:
         return _LEAST
     return 16 * math.ceil(2 ** (math.ceil(_PER_OCTAVE * math.log2(count)) / _PER_OCTAVE) / 16)
+
+
+@dataclass(frozen=True)
+class AnySize:
+    """Arrays that may have other widths in the same recording: only to be gathered from.
+
+    No kernel that reads them may have as many lanes as one of them is wide, or a multiple of that: Dr.Jit
+    would take it for elementwise.
+    """
+
+    arrays: list[Any]
 
 
 class Passed:
@@ -110,7 +121,7 @@ def rebuilt(value: Any) -> Any:
 def _widths(value: Any) -> Any:
     """Widths of all arrays in what was flattened."""
     if type(value) is tuple:
-        return tuple(map(_widths, value))
+        return None if value and value[0] is AnySize else tuple(map(_widths, value))
     return dr.width(value) if isinstance(value, dr.ArrayBase) else None
 
 

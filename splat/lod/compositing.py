@@ -78,14 +78,13 @@ class Mixture:
         records = records_before(arrays, _ENTRY, rows, np.stack(words).astype(np.uint32), weights)
         return Mixture(cells, len(words), records, *map(arrays.constant, numbers))
 
-    def number(self, index: Any, active: Any = True) -> Any:
+    def number(self, index: Any) -> Any:
         """The UInt at an index of the array."""
-        arrays = self.records.arrays
-        return dr.reinterpret_array(arrays.plain.UInt, self.weight(index, active))
+        return dr.reinterpret_array(self.records.arrays.plain.UInt, self.weight(index))
 
-    def weight(self, index: Any, active: Any = True) -> Any:
+    def weight(self, index: Any) -> Any:
         """The Float at an index of the array."""
-        return dr.gather(self.records.arrays.plain.Float, self.records.tables[0], index, active)
+        return dr.gather(self.records.arrays.plain.Float, self.records.tables[0], index)
 
 
 def composite(arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, camera: Camera) -> SplatImage:

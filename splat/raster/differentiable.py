@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,7 +16,7 @@ from torch.nn import functional
 from compose import LLVM
 from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName, constant
 from compose.base.errors import UserError
-from compose.base.frozen import Frozen
+from compose.base.frozen import AnySize, Frozen, capacity
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.gaussians import SH_DC, Directional, Gaussians
@@ -36,6 +36,9 @@ from splat.raster.projection import (
     project,
 )
 from splat.raster.tiles import TileGrid
+
+# Which row of Gaussians is that of logits of opacity, and one that is invisible.
+_LOGITS, _INVISIBLE = 10, -80.0
 
 
 def seen_from(gaussians: Gaussians, eye: NDArray[np.float64]) -> Gaussians:
@@ -193,11 +196,13 @@ class _Render(torch.autograd.Function):
         grid = TileGrid(camera.width, camera.height)
         plain = arrays.plain
         view = camera_numbers(plain.Float, camera), constant(plain.Float, low_pass)
-        splats, found = _projected(arrays, rows, *view, everywhere(arrays, grid), grid.side)
+        count = dr.width(rows[0])
+        padded = PaddedRows(AnySize(rows), arrays.constant(count), capacity(count + 1))
+        splats, found = _projected(arrays, padded, *view, everywhere(arrays, grid), grid.side)
         order = depth_order(arrays, splats.depth, found.count > 0)
         parts = Parts(Candidates(arrays, found, grid, None, order))
         (image,) = rasterize_parts(arrays, parts)
-        ctx.state = (arrays, rows, view, splats, parts, image)
+        ctx.state = (arrays, padded, view, splats, parts, image)
         # The gradient reads the tensors again: torch refuses to go on if they have changed meanwhile.
         ctx.save_for_backward(*tensors)
         shape = grid.padded_height, grid.padded_width, CHANNELS
@@ -211,7 +216,7 @@ class _Render(torch.autograd.Function):
         # Dr.Jit's graph is gone after one traversal.
         if ctx.state is None:
             raise RuntimeError("this image was differentiated already: render it again")
-        arrays, rows, view, splats, parts, image = ctx.state
+        arrays, padded, view, splats, parts, image = ctx.state
         # On a card, torch calls this in a thread of its own, which may only use arrays of an earlier scope.
         dr.detail.new_scope(dr.backend_v(arrays.plain.Float))
         shapes = [tensor.shape for tensor in ctx.saved_tensors]
@@ -220,9 +225,9 @@ class _Render(torch.autograd.Function):
         beyond = (0, CHANNELS - 3, 0, grid.padded_width - grid.width, 0, grid.padded_height - grid.height)
         flow = dr.detach(arrays.from_torch(functional.pad(gradient, beyond)), preserve_type=False)
         _wait_for_torch(gradient.device)
-        sums, count = sums_of_parts(arrays, parts, image, flow), arrays.constant(dr.width(rows[0]))
-        block = _by_parameters(arrays, rows, *view, splats, sums, count)
-        found = arrays.to_torch(block, gradient.device).reshape(len(rows), -1)
+        sums = sums_of_parts(arrays, parts, image, flow)
+        block = _by_parameters(arrays, padded, *view, splats, sums, arrays.constant(padded.size))
+        found = arrays.to_torch(block, gradient.device).reshape(-1, padded.size)[:, : shapes[0][-1]]
         sizes = [shape.numel() // shape[-1] for shape in shapes]
         results = [part.reshape(s) for part, s in zip(found.split(sizes), shapes, strict=True)]
         return (None, None, None, *results)
@@ -234,36 +239,58 @@ def parameters_of(rows: list[Any]) -> Parameters:
     return Parameters(means, log_scales, rotations, rows[10], [sh[k : k + 3] for k in range(0, len(sh), 3)])
 
 
+@dataclass(frozen=True)
+class PaddedRows:
+    """Rows of N Gaussians, to be followed by invisible ones: trainings render other numbers in each view.
+
+    Attributes:
+        rows: (N,) each, in the order of `Parameters.leaves`.
+        count: N, in memory.
+        size: more than N.
+    """
+
+    rows: AnySize
+    count: Any
+    size: int
+
+    def on(self, arrays: Arrays) -> list[Any]:
+        """The rows, `size` wide."""
+        lane = dr.arange(arrays.plain.UInt, self.size)
+        known = lane < self.count
+        found = [dr.gather(type(row), row, lane, known) for row in self.rows.arrays]
+        found[_LOGITS] = dr.select(known, found[_LOGITS], _INVISIBLE)
+        return found
+
+
 def projected_splats(
-    arrays: Arrays, rows: list[Any], view: CameraNumbers, low_pass: Any, bounds: TileBounds, side: int
+    arrays: Arrays, padded: PaddedRows, view: CameraNumbers, low_pass: Any, bounds: TileBounds, side: int
 ) -> tuple[Splats, Boxed]:
-    """Splats of Gaussians, and those as boxed for tiles of that side."""
-    splats = project(parameters_of(rows), view, low_pass)
+    """Splats of padded Gaussians, and those as boxed for tiles of that side."""
+    splats = project(parameters_of(padded.on(arrays)), view, low_pass)
     return splats, boxed(arrays, splats, bounds, side)
 
 
 def gradients_of_rows(
     arrays: Arrays,
-    rows: list[Any],
+    padded: PaddedRows,
     view: CameraNumbers,
     low_pass: Any,
     splats: Splats,
     sums: list[Any],
     step: Any,
 ) -> Any:
-    """Gradients by the rows of N Gaussians, one after the other in one array: torch has nothing to copy.
+    """Gradients by the rows of padded Gaussians, one after the other in one array.
 
-    `sums` are those of `sums_of_parts`, and `step` is N in memory.
+    `sums` are those of `sums_of_parts`, and `step` is the size in memory; all else is as it was projected.
     """
-    count = dr.width(rows[0])
-    leaves = [arrays.ad.Float(row) for row in rows]
+    size, leaves = padded.size, [arrays.ad.Float(row) for row in padded.on(arrays)]
     dr.enable_grad(leaves)
     outputs = project(parameters_of(leaves), view, low_pass).differentiable()
     for value, by_value in zip(outputs, gradients_from_sums(splats, sums), strict=True):
         dr.accum_grad(value, by_value)
     dr.enqueue(dr.ADMode.Backward, outputs)
     dr.traverse(dr.ADMode.Backward)
-    block, first = dr.empty(arrays.plain.Float, len(rows) * count), dr.arange(arrays.plain.UInt, count)
+    block, first = dr.empty(arrays.plain.Float, len(leaves) * size), dr.arange(arrays.plain.UInt, size)
     for leaf in leaves:
         by_row = dr.detach(dr.grad(leaf), preserve_type=False)
         dr.scatter(block, by_row, first, mode=dr.ReduceMode.Permute)

@@ -100,6 +100,33 @@ def test_images_are_found_at_their_first_row(arrays):
     assert frame[7 * 16 + 8] == 3
 
 
+def test_more_entries_than_a_word_has_bits(arrays):
+    """Forty images of 1, 2, ...: each cell shows one of them, and the first one with another half each."""
+    blocks = [samples(2, 0, 0, float(k + 1)) for k in range(40)]
+    cells = [np.zeros(CELLS, dtype=bool) for _ in blocks]
+    for number in range(40):
+        cells[number].flat[number + 1] = True
+    cells[7].flat[0] = cells[39].flat[0] = True
+    half = ramp(0.5, 0.5)
+    entries = [entry(2, k * len(blocks[0]), half, cells[k]) for k in range(40)]
+    frame = composited(arrays, entries, blocks)[::16, ::16, 0].ravel()
+    assert frame[0] == 0.5 * (8 + 40)
+    assert frame[1:41].tolist() == [float(k + 1) for k in range(40)]
+
+
+@pytest.mark.parametrize("rate", [0, 2])
+def test_infinite_samples_show_where_they_are_alone(arrays, rate):
+    block = samples(rate, 0, 0, 1.0)
+    block[3, 4] = np.inf
+    frame = composited(arrays, [entry(rate, 0, ramp(1, 1))], [block])[..., 0]
+    bright = frame > 1
+    side = 1 << rate
+    assert bright[3 * side : 4 * side, 4 * side : 5 * side].all()
+    assert not np.isnan(frame).any()
+    assert (frame[~bright] == 1).all()
+    assert bright.sum() <= (3 * side) ** 2
+
+
 def test_other_frames_share_the_kernels_values(arrays):
     """A frame of another size from the same samples has the same pixels."""
     block = samples(1, 0.5, 0.25, 1.0)
