@@ -141,9 +141,9 @@ class Candidates:
         self._mask = None if wanted is None else uploaded(arrays.plain.Bool, self.wanted)
 
     @staticmethod
-    def of(arrays: Arrays, splats: Splats, grid: TileGrid) -> Candidates:
-        """Those of splats in any order, without derivatives, for all tiles."""
-        found = _boxed(arrays, splats, everywhere(arrays, grid), grid.side)
+    def of(arrays: Arrays, splats: Splats, grid: TileGrid, found: Boxed | None = None) -> Candidates:
+        """Those of splats in any order, without derivatives, for all tiles; boxed now unless they are."""
+        found = found or _boxed(arrays, splats, everywhere(arrays, grid), grid.side)
         return Candidates(arrays, found, grid, None, depth_order(arrays, splats.depth, found.count > 0))
 
     def runs(self, window: TileWindow) -> Runs:
@@ -311,9 +311,9 @@ def keys(
     """For each of `size` candidates the key that it is sorted by and its splat; the first one of each run.
 
     The key is the number of the tile, or that of all tiles for a candidate that need not be drawn, and for
-    what lies behind the last one. `wanted` is the mask of tiles, or None,
-    and `pairs` the number of candidates, both in memory. Where there are more pairs than 32 bits count, first
-    ones wrap: whoever asks must split the window.
+    what lies behind the last one. `wanted` is the mask of tiles, or None, and `pairs` the number of
+    candidates, both in memory. Where there are more pairs than 32 bits count, first ones wrap: whoever asks
+    must split the window.
     """
     UInt = arrays.plain.UInt
     # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
@@ -389,11 +389,5 @@ def lists(arrays: Arrays, of: SortedPairs) -> Lists:
     return Lists(of.grid, of.pairs, ranges, dr.gather(UInt, of.splat, of.sorting), own, of.sorting)
 
 
-def _evaluated_lists(arrays: Arrays, of: SortedPairs) -> Lists:
-    found = lists(arrays, of)
-    dr.eval(found.ranges, found.splat, found.tile)
-    return found
-
-
 _boxed, _run_lengths = Frozen(boxed, by_size=True), Frozen(run_lengths, by_size=True)
-_keys, _listed = Frozen(keys, by_size=True), Frozen(_evaluated_lists, by_size=True)
+_keys, _listed = Frozen(keys, by_size=True), Frozen(lists, by_size=True)

@@ -163,30 +163,29 @@ _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1)
 
 
 def no_sums(arrays: Arrays, splats: int) -> list[Any]:
-    """What `added_sums` adds to first, of so many splats."""
+    """What `sums_of_bins` adds to first, of so many splats."""
     return [dr.zeros(arrays.plain.Float, splats) for _ in range(_SUMS)]
 
 
-def sums_of_bins(arrays: Arrays, blended: Records, bins: Bins, image: Any, gradient: Any) -> list[Any]:
-    """What the lists of all tiles contribute to the sums that each splat's gradient is made of.
+def sums_of_bins(
+    arrays: Arrays,
+    blended: Records,
+    bins: Bins,
+    image: Any,
+    gradient: Any,
+    sums: list[Any] | None = None,
+) -> list[Any]:
+    """What the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
     Args:
         blended, bins, image: as given to and returned by `rasterize`.
         gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
             opacity is taken to be zero.
+        sums: those over tiles further up, and to the left in the same row, to which they are added.
     """
     if not bins.lists.pairs:
-        return no_sums(arrays, len(blended))
-    return _sums(arrays, WalkedLists.of(arrays, blended, bins), image, gradient)
-
-
-def added_sums(
-    arrays: Arrays, blended: Records, bins: Bins, image: Any, gradient: Any, sums: list[Any]
-) -> list[Any]:
-    """`sums_of_bins`, added to those over tiles further up, and to the left in the same row."""
-    if not bins.lists.pairs:
-        return sums
-    return sums_of_lists(arrays, WalkedLists.of(arrays, blended, bins), image, gradient, sums)
+        return sums or no_sums(arrays, len(blended))
+    return _sums(arrays, WalkedLists.of(arrays, blended, bins), image, gradient, sums)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.gaussians import SH_DC, Directional, Gaussians
 from splat.model.points import from_world
-from splat.raster.binning import Boxed, Candidates, TileBounds, boxed, depth_order, everywhere
+from splat.raster.binning import Boxed, Candidates, TileBounds, boxed, everywhere
 from splat.raster.blending import gradients_from_sums
 from splat.raster.blocks import CHANNELS
 from splat.raster.harmonics import sh_basis
@@ -199,8 +199,7 @@ class _Render(torch.autograd.Function):
         count = dr.width(rows[0])
         padded = PaddedRows(AnySize(rows), arrays.constant(count), capacity(count + 1))
         splats, found = _projected(arrays, padded, *view, everywhere(arrays, grid), grid.side)
-        order = depth_order(arrays, splats.depth, found.count > 0)
-        parts = Parts(Candidates(arrays, found, grid, None, order))
+        parts = Parts(Candidates.of(arrays, splats, grid, found))
         (image,) = rasterize_parts(arrays, parts)
         ctx.state = (arrays, padded, view, splats, parts, image)
         # The gradient reads the tensors again: torch refuses to go on if they have changed meanwhile.

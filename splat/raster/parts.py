@@ -16,7 +16,7 @@ import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import Bins, Candidates, TileWindow
-from splat.raster.blending import ImageSplit, added_sums, no_sums, rasterize, sums_of_bins
+from splat.raster.blending import ImageSplit, rasterize, sums_of_bins
 
 # Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
 # this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
@@ -75,9 +75,8 @@ def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None 
 
 def sums_of_parts(arrays: Arrays, parts: Parts, image: Any, gradient: Any) -> list[Any]:
     """Nine (N,) sums that gradients by the splats are made of, from the gradient by an image."""
-    if parts.only is not None:
-        return sums_of_bins(arrays, parts.blended, parts.only, image, gradient)
-    sums = no_sums(arrays, len(parts.blended))
+    sums = None
     for bins in parts:
-        sums = added_sums(arrays, parts.blended, bins, image, gradient, sums)
+        sums = sums_of_bins(arrays, parts.blended, bins, image, gradient, sums)
+    assert sums is not None
     return sums
