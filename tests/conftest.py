@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,15 @@ def arrays(backend):
 def each_arrays(request) -> Arrays:
     """The array types of each backend present, one after the other."""
     return Arrays(request.param)
+
+
+@pytest.fixture
+def no_garbage() -> Iterator[None]:
+    """Nothing is collected during a test: a recording depends on all scenes in memory."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
 
 
 def real_file(relative: str) -> Path:

@@ -172,6 +172,7 @@ def test_the_same_seed_gives_the_same_light(corner):
     assert (one != other).any()
 
 
+@pytest.mark.usefixtures("no_garbage")
 def test_new_light_is_traced_without_recording_anything_again(corner):
     scene, cache = corner
     tracer, positions = Tracer(scene, cache=cache), frame_positions(scene.camera)

@@ -195,6 +195,7 @@ FACTOR = keys({"t": 0}, {"t": 1, "factor": 0.2})
     ],
     ids=["mesh", "formula", "sphere", "light", "brightness", "all"],
 )
+@pytest.mark.usefixtures("no_garbage")
 def test_nothing_is_recorded_again_when_time_passes(tmp_path, motion):
     scene = loaded(tmp_path, motion)
     tracer, seen = Tracer(scene), []

@@ -64,6 +64,7 @@ def assert_alike(found: Any, expected: Any) -> None:
         assert found == expected
 
 
+@pytest.mark.usefixtures("no_garbage")
 def test_a_frozen_function_gives_what_the_function_gives():
     frozen = FrozenWithScenes(mixed)
     # The second call replays the first one's recording with other numbers.
@@ -73,6 +74,7 @@ def test_a_frozen_function_gives_what_the_function_gives():
     assert frozen._recorded.n_recordings == 1
 
 
+@pytest.mark.usefixtures("no_garbage")
 def test_results_are_told_apart_by_types_and_values():
     """Where two arguments hold the same arrays but differ in structure, each has its own recording."""
     frozen = FrozenWithScenes(lambda value: [type(value), value])
@@ -87,6 +89,7 @@ def test_results_are_told_apart_by_types_and_values():
     assert frozen._recorded.n_recordings == len(values) + 2
 
 
+@pytest.mark.usefixtures("no_garbage")
 def test_scenes_and_interactions_pass_as_they_are():
     scene = mi.load_dict(small.corner())
 
@@ -113,6 +116,7 @@ def distance_in(scene: Any, x: Any) -> Any:
     return hit.t * hit.bsdf().eval_diffuse_reflectance(hit).x
 
 
+@pytest.mark.usefixtures("no_garbage")
 def test_other_scenes_in_memory_change_nothing():
     scene = mi.load_dict(small.corner())
     frozen = FrozenWithScenes(distance_in)
@@ -134,6 +138,7 @@ def test_other_scenes_in_memory_change_nothing():
     del later
 
 
+@pytest.mark.usefixtures("no_garbage")
 def test_a_function_follows_its_scene():
     """What is replaced in a scene is read by the recording that there is; constants are compiled in."""
     scene = mi.load_dict(small.corner())

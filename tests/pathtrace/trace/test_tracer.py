@@ -300,6 +300,7 @@ def test_seeds_repeat_and_differ():
 
 
 @pytest.mark.parametrize("cached", [False, True])
+@pytest.mark.usefixtures("no_garbage")
 def test_a_moving_gaze_or_camera_records_nothing_again(cached):
     scene = load_scene(small.corner())
     camera = scene.camera
