@@ -168,22 +168,25 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     return replace(disc, pixels=pixels, weights=weights), 1 if spp == 1 else Counts.of(count, spp)
 
 
-def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> DeviceImage:
-    """(H, W, 3) composite: (1 - w) periphery + w fovea in the disc of weights w, the periphery elsewhere.
+def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> tuple[DeviceImage, list[Any]]:
+    """The composite, (1 - w) periphery + w fovea in the disc of weights w, in the memory of the periphery.
 
-    The fovea is three Floats (D,), linear radiance of the disc's pixels.
+    Copying that would take longer than the blend. The fovea is three Floats (D,), linear radiance of the
+    disc's pixels. Returns also what the periphery showed there, three Floats (D,).
     """
     arrays = periphery.arrays
+    if not disc.count:
+        return periphery, [disc.weights] * 3
+    behind = periphery.of_pixels(disc.pixels)
     if disc.covers_frame:
         # Nothing of the periphery is left.
-        return DeviceImage.filled(arrays, periphery.width, periphery.height, fovea)
-    composite = periphery.packed()
-    if disc.count:
-        # Full weights copy instead of multiplying: 0 times a lamp's infinity is not 0.
-        full = disc.weights >= 1
-        behind = periphery.of_pixels(disc.pixels)
-        for channel, (front, back) in enumerate(zip(fovea, behind, strict=True)):
-            values = dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
-            dr.scatter(composite.values, values, disc.pixels * 3 + channel, mode=dr.ReduceMode.Permute)
-        dr.eval(composite.values)
-    return composite
+        return DeviceImage.filled(arrays, periphery.width, periphery.height, fovea), behind
+    # Full weights copy instead of multiplying: 0 times a lamp's infinity is not 0.
+    full = disc.weights >= 1
+    values = [
+        dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
+        for front, back in zip(fovea, behind, strict=True)
+    ]
+    # What still waits to be read from the periphery would have all of it copied when it is written.
+    dr.eval(values, behind)
+    return periphery.changed(disc.pixels, values), behind

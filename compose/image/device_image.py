@@ -65,14 +65,18 @@ class DeviceImage:
         """Whether all rows are in the buffer."""
         return not self.first_row and dr.width(self.values) >= self.height * self.stride * self.channels
 
-    def at(self, row: Any, column: Any) -> list[Any]:
-        """Three Floats (N,), the radiance of pixels."""
+    def _place(self, row: Any, column: Any) -> tuple[Any, Any]:
+        """Where in the buffer pixels start, and whether they are in it."""
         known: Any = True
         if not self.is_whole:
             # What lies above wraps around to beyond the buffer.
             row = row - self.arrays.constant(self.first_row)
             known = row < self.arrays.constant(dr.width(self.values) // (self.stride * self.channels))
-        index = (row * self.arrays.constant(self.stride) + column) * self.channels
+        return (row * self.arrays.constant(self.stride) + column) * self.channels, known
+
+    def at(self, row: Any, column: Any) -> list[Any]:
+        """Three Floats (N,), the radiance of pixels."""
+        index, known = self._place(row, column)
         return [dr.gather(self.arrays.plain.Float, self.values, index + c, known) for c in range(3)]
 
     def of_pixels(self, pixels: Any) -> list[Any]:
@@ -86,10 +90,32 @@ class DeviceImage:
         top, left = self.arrays.scalars(self.arrays.plain.UInt, [side.start for side in box])
         return self.at(row + top, column + left)
 
+    def changed(self, pixels: Any, channels: list[Any]) -> DeviceImage:
+        """The image, in its own memory if it is whole, with other radiance in some pixels.
+
+        Those are given by their row-major indices UInt (N,), each once, their radiance as three Floats (N,).
+        """
+        image = self if self.is_whole else self.packed()
+        index, _ = image._place(*self.arrays.rows_columns(pixels, self.width))
+        for number, values in enumerate(channels):
+            dr.scatter(image.values, values, index + number, mode=dr.ReduceMode.Permute)
+        dr.eval(image.values)
+        return image
+
+    def flat(self) -> Any:
+        """Float (H * W * 3,), the image row by row, not evaluated."""
+        if self.is_packed:
+            return self.values
+        index = dr.arange(self.arrays.plain.UInt, self.width * self.height * 3)
+        pixel = index // 3
+        at, known = self._place(*self.arrays.rows_columns(pixel, self.width))
+        return dr.gather(self.arrays.plain.Float, self.values, at + index - pixel * 3, known)
+
     def packed(self) -> DeviceImage:
         """The image in a buffer of its own that holds nothing else."""
-        pixels = dr.arange(self.arrays.plain.UInt, self.width * self.height)
-        return DeviceImage.filled(self.arrays, self.width, self.height, self.of_pixels(pixels))
+        values = self.arrays.plain.Float(self.flat())
+        dr.eval(values)
+        return DeviceImage(self.arrays, values, self.width, self.height, self.width)
 
     def tensor(self) -> Any:
         """(H, W, 3) tensor of Dr.Jit, which NumPy and torch read through DLPack."""

@@ -31,7 +31,7 @@ class Frame:
     Attributes:
         image: linear radiance, the frame itself; its `tensor` is for kernels, NumPy and torch.
         settings: how it was made, as resolved for its camera.
-        splats: the periphery, and what was filled; black in tiles that the fovea hides.
+        behind: three Floats (D,), what the periphery shows in the disc's pixels.
         detail: the detail that the viewer resolves in each part of the frame.
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
         fovea: the disc and what it was made from; its `disc` has the weights of the blend and, of a raw
@@ -47,7 +47,7 @@ class Frame:
     image: DeviceImage
     settings: FrameSettings
     camera: Camera
-    splats: DeviceImage
+    behind: list[Any]
     detail: DetailMap
     nodes_drawn: int
     fovea: FoveaImage
@@ -61,6 +61,11 @@ class Frame:
     def composite(self) -> Image:
         """(H, W, 3) linear radiance in host memory; on the CPU, that is where it is."""
         return self.image.numpy()
+
+    @property
+    def splats(self) -> DeviceImage:
+        """The periphery, and what was filled, made of the composite; black in tiles that the fovea hides."""
+        return self.image.packed().changed(self.fovea.disc.pixels, self.behind)
 
     @property
     def periphery(self) -> Image:

@@ -160,13 +160,13 @@ class Renderer:
         underlay = self.underlay(camera, settings, region, fill, under)
         clock.lap("fill")
         fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock, self._is_quick)
-        composite = blend(periphery, fovea.radiance, fovea.disc)
+        composite, behind = blend(periphery, fovea.radiance, fovea.disc)
         clock.lap("blend")
         frame = Frame(
             image=composite,
             settings=settings,
             camera=camera,
-            splats=periphery,
+            behind=behind,
             detail=detail,
             nodes_drawn=drawn.nodes,
             fovea=fovea,
@@ -247,7 +247,8 @@ class Renderer:
             return None
         if under is None:
             under = self.periphery.under_disc(camera, settings, region)
-        radiance = under if fill is None else fill.over(under)
+        # A copy: what lies under the disc of a still view is drawn once.
+        radiance = under if fill is None else fill.over(under.packed())
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
@@ -327,9 +328,9 @@ class LiveRenderer(Renderer):
         """The last frame with `spp` more samples per pixel in its disc; `quick` for the quicker denoiser."""
         clock, settings = PassClock(), replace(frame.settings, spp=spp)
         self._relight(settings)
-        shown = frame.fovea.disc, seed, frame.splats, frame.underlay
-        fovea = self._fovea(settings, frame.camera, *shown, clock, quick)
-        composite = blend(frame.splats, fovea.radiance, fovea.disc)
+        disc, periphery = frame.fovea.disc, frame.splats
+        fovea = self._fovea(settings, frame.camera, disc, seed, periphery, frame.underlay, clock, quick)
+        composite, _ = blend(periphery, fovea.radiance, disc)
         clock.lap("blend")
         return replace(frame, image=composite, fovea=fovea, milliseconds=clock.milliseconds())
 

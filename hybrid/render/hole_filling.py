@@ -180,8 +180,8 @@ class Fill:
         return float(dr.sum(self.disc.weights)[0]) / (self.disc.width * self.disc.height)
 
     def over(self, splats: DeviceImage) -> DeviceImage:
-        """Splats with the filled radiance in place of what they do not know."""
-        return blend(splats, self.radiance, self.disc)
+        """Splats, in their memory, with the filled radiance in place of what they do not know."""
+        return blend(splats, self.radiance, self.disc)[0]
 
 
 class Filler:

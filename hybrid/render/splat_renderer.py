@@ -52,14 +52,15 @@ class SplatRenderer:
         clock.lap("detail")
         image = self._periphery.draw(camera, detail, region)
         clock.lap("splat")
+        nothing = FoveaImage.none(Disc.in_region(self._arrays, region))
         return Frame(
             image=image,
             settings=settings,
             camera=camera,
-            splats=image,
+            behind=nothing.radiance,
             detail=detail,
             nodes_drawn=image.nodes,
-            fovea=FoveaImage.none(Disc.in_region(self._arrays, region)),
+            fovea=nothing,
             region=region,
             milliseconds=clock.milliseconds(),
             more={"splat": self._periphery.whole(camera, settings).numpy()} if settings.aovs else {},

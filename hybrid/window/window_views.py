@@ -100,7 +100,7 @@ def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None)
         return _srgb_bytes(frame.of_disc([c * frame.fovea.disc.weights for c in frame.fovea.radiance]))
     if not view.needs_path_traced:
         shown = frame.splats if view is ShownView.PERIPHERY else frame.image
-        return _bytes_of(shown.tensor().array, (shown.height, shown.width, 3))
+        return _bytes_of(shown.flat(), (shown.height, shown.width, 3))
     if path_traced is None:
         raise ValueError(f"{view} needs the path-traced frame")
     if view is ShownView.DIFFERENCE:

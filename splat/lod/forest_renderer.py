@@ -102,9 +102,8 @@ class ForestRenderer:
         if mixed:
             parts.append(AtlasPart.of(mixed, step))
         drawn = self._drawn(camera, parts, cutoff, mixes=bool(mixed), over=own is not None)
-        black = black_image(self.arrays, camera)
-        frame = drawn.pop(0) if own is not None or mixed else black
-        return frame, drawn[0] if drawn else black
+        frame = drawn.pop(0) if own is not None or mixed else black_image(self.arrays, camera)
+        return frame, drawn[0] if drawn else black_image(self.arrays, camera)
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.

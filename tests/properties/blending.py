@@ -16,7 +16,7 @@ def blended(
 ) -> NDArray[np.float32]:
     """(H, W, 3) composite by the kernels, of an image (H, W, 3) and radiance (D, 3) of a region's pixels."""
     arrays = available_arrays()
-    image = blend(image_on(arrays, periphery), channels(arrays, fovea), region.disc(arrays))
+    image, _ = blend(image_on(arrays, periphery), channels(arrays, fovea), region.disc(arrays))
     return np.array(image.numpy())
 
 

@@ -73,7 +73,8 @@ def test_the_blend_is_unbiased(arrays, whole, spp):
     traced = rng.uniform(size=(48 * 64, 3)).astype(np.float32)
 
     def blended(disc: Disc) -> np.ndarray:
-        return blend(splats, channels(arrays, traced[np.array(disc.pixels)]), disc).numpy()[..., 0].copy()
+        fovea = channels(arrays, traced[np.array(disc.pixels)])
+        return blend(splats.packed(), fovea, disc)[0].numpy()[..., 0].copy()
 
     frames = np.stack([blended(disc) for disc, _ in runs(whole, spp)])
     assert from_the_mean(frames, blended(whole)) < 5

@@ -26,7 +26,9 @@ def row(arrays: Arrays, weights: list[float]) -> Disc:
 def blended(periphery: np.ndarray, fovea: np.ndarray, disc: Disc) -> np.ndarray:
     """The composite of an image (H, W, 3) and values (D, 3)."""
     arrays = disc.arrays
-    return blend(image_on(arrays, periphery), channels(arrays, fovea), disc).numpy()
+    composite, behind = blend(image_on(arrays, periphery), channels(arrays, fovea), disc)
+    np.testing.assert_array_equal(host(behind), periphery.reshape(-1, 3)[np.array(disc.pixels)])
+    return composite.numpy()
 
 
 def plainly_blended(periphery: np.ndarray, fovea: np.ndarray, disc: Disc) -> np.ndarray:
@@ -56,9 +58,11 @@ def test_blends_match_a_plain_twin(arrays, gaze):
     np.testing.assert_allclose(blended(buffer[:40, :50, :3], fovea, disc), expected, rtol=1e-5)
     values = image_on(arrays, buffer).values
     part = DeviceImage(arrays, values, 50, 40, 64, 4)
-    composite = blend(part, channels(arrays, fovea), disc)
+    composite, _ = blend(part, channels(arrays, fovea), disc)
     np.testing.assert_allclose(composite.numpy(), expected, rtol=1e-5)
-    np.testing.assert_array_equal(values, buffer.ravel())
+    # Everything beside the image stays.
+    buffer[:40, :50, :3] = composite.numpy()
+    np.testing.assert_array_equal(composite.values, buffer.ravel())
 
 
 @pytest.mark.parametrize("gaze", GAZES)
@@ -69,21 +73,23 @@ def test_equal_images_blend_to_themselves(arrays, gaze):
     np.testing.assert_allclose(composite, image, rtol=1e-6)
 
 
-def test_the_arguments_are_left_as_they_are(arrays):
+def test_the_composite_takes_the_memory_of_the_periphery_and_nothing_else(arrays):
     region = Foveation(Gaze(), 35, 20).region(50, 50)
     disc, periphery = region.disc(arrays), image_on(arrays, np.ones((50, 50, 3), np.float32))
-    fovea = channels(arrays, np.zeros((disc.count, 3)))
-    composite = blend(periphery, fovea, disc).numpy()
-    assert (periphery.numpy() == 1).all()
+    kept, fovea = periphery.packed(), channels(arrays, np.zeros((disc.count, 3)))
+    composite, behind = blend(periphery, fovea, disc)
+    assert composite.values is periphery.values
+    assert (kept.numpy() == 1).all()
     assert (host(fovea) == 0).all()
-    np.testing.assert_allclose(composite[..., 0], 1 - region.weight_image(), atol=1e-6)
+    assert (host(behind) == 1).all()
+    np.testing.assert_allclose(composite.numpy()[..., 0], 1 - region.weight_image(), atol=1e-6)
 
 
 def test_a_disc_that_covers_the_frame_is_exactly_the_traced_frame(arrays):
     disc = Foveation(Gaze(0.3, 0.6), 400, 10).region(30, 20).disc(arrays)
     traced = np.random.default_rng(0).normal(size=(600, 3)).astype(np.float32)
     fovea = channels(arrays, traced)
-    composite = blend(image_on(arrays, np.full((20, 30, 3), np.nan)), fovea, disc).numpy().copy()
+    composite = blend(image_on(arrays, np.full((20, 30, 3), np.nan)), fovea, disc)[0].numpy().copy()
     assert np.array_equal(composite.reshape(-1, 3), traced)
     assert composite.shape == (20, 30, 3)
     assert (host(fovea) == traced).all()

@@ -78,6 +78,30 @@ def test_a_packed_image_has_a_buffer_of_its_own(arrays, buffer):
     np.testing.assert_array_equal(image.numpy(), expected)
 
 
+@pytest.mark.parametrize("buffer", BUFFERS)
+def test_pixels_are_changed_in_the_buffer(arrays, buffer):
+    image, expected = image_in(arrays, buffer)
+    before, expected = image.packed(), expected.copy()
+    chosen = small.rng(1).permutation(image.width * image.height)[:11]
+    radiance = small.rng(2).uniform(0, 2, (len(chosen), 3)).astype(np.float32)
+    changed = image.changed(indices(arrays, chosen), channels(arrays, radiance))
+    assert changed.values is image.values
+    np.testing.assert_array_equal(before.numpy(), expected)
+    row, column = np.divmod(chosen, image.width)
+    expected[row, column] = radiance
+    np.testing.assert_array_equal(changed.numpy(), expected)
+
+
+def test_an_image_without_its_first_rows_is_changed_in_a_copy(arrays):
+    image, _ = image_in(arrays, BUFFERS[1])
+    part = DeviceImage(arrays, image.values, 7, 10, 16, 3, first_row=2)
+    changed = part.changed(indices(arrays, np.array([0])), channels(arrays, np.full((1, 3), 9)))
+    expected = part.packed().numpy().copy()
+    assert (expected[:2] == 0).all()
+    expected[0, 0] = 9
+    np.testing.assert_array_equal(changed.numpy(), expected)
+
+
 def test_numpy_and_torch_read_a_packed_image_without_a_copy():
     """On the CPU, of which this makes sure."""
     arrays = Arrays("llvm")

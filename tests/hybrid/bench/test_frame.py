@@ -136,9 +136,9 @@ def test_a_pass_that_computes_with_numpy_is_seen(scene, forest, monkeypatch, cha
     blend = module.blend
 
     def on_the_host(*args):
-        image = blend(*args)
+        image, behind = blend(*args)
         assert (2 * image.numpy()[..., :channels] >= 0).all()
-        return image
+        return image, behind
 
     monkeypatch.setattr(module, "blend", on_the_host)
     count, largest = bytes_of_more_pixels(Renderer(scene, forest), FoveaMode.RAW, 1)

@@ -49,7 +49,7 @@ def test_a_repeated_request_has_more_samples_and_any_other_has_not(source):
     patient = source.show(asked, False)
     assert patient.spp == pytest.approx(first.spp + 7, abs=0.05)
     assert patient.paths == 6 * patient.frame.region.count
-    assert patient.frame.splats is first.frame.splats
+    np.testing.assert_array_equal(patient.frame.periphery, first.frame.periphery)
     assert not patient.finished
     elsewhere = source.show(replace(asked, settings=replace(asked.settings, gaze=Gaze(0.9, 0.9))), True)
     assert elsewhere.spp < 1.5
@@ -74,11 +74,9 @@ def test_each_frame_has_samples_of_its_own(source):
 def test_after_forgetting_a_frame_begins_anew(source):
     asked = request(source)
     source.show(asked, False)
-    before = source.show(asked, False).frame
+    source.show(asked, False)
     source.forget()
-    after = source.show(asked, True)
-    assert after.spp == 1
-    assert after.frame.splats is not before.splats
+    assert source.show(asked, True).spp == 1
 
 
 def test_a_frame_with_enough_samples_is_finished(source, monkeypatch):

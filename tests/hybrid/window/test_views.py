@@ -38,7 +38,7 @@ def frame(composite: np.ndarray | None = None) -> Frame:
         image=image_on(arrays, noise(H, W, 3) if composite is None else composite),
         settings=FrameSettings(),
         camera=nothing,
-        splats=image_on(arrays, noise(H, W, 3)),
+        behind=[arrays.plain.Float(noise(region.count)) for _ in range(3)],
         detail=nothing,
         nodes_drawn=0,
         fovea=FoveaImage(disc, radiance, Samples.none(arrays, disc.pixels)),
@@ -57,6 +57,9 @@ def test_composite_and_periphery_are_shown_as_they_are():
     made = frame()
     assert (image_of(ShownView.COMPOSITE, made, None) == bytes_from_radiance(made.composite)).all()
     assert (image_of(ShownView.PERIPHERY, made, None) == bytes_from_radiance(made.periphery)).all()
+    expected = made.composite.copy().reshape(-1, 3)
+    expected[np.array(made.fovea.disc.pixels)] = np.stack(made.behind, axis=1)
+    np.testing.assert_array_equal(made.periphery, expected.reshape(H, W, 3))
 
 
 def test_any_radiance_becomes_a_byte():
