@@ -6,6 +6,7 @@ import operator
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,17 @@ def require_seed(seed: Any) -> int:
     if not 0 <= number <= MOST_SEED:
         raise UserError(f"seed {seed}: must be a whole number from 0 to {MOST_SEED}")
     return number
+
+
+def as_plain_numbers(settings: Any) -> None:
+    """Makes numbers of NumPy in a dataclass Python's own, which JSON and checks of types take."""
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        parts = value if isinstance(value, tuple) else (value,)
+        if any(getattr(part, "shape", None) == () for part in parts):
+            plain = tuple(part.item() if getattr(part, "shape", None) == () else part for part in parts)
+            # Of a frozen one, too.
+            object.__setattr__(settings, field.name, plain if isinstance(value, tuple) else plain[0])
 
 
 def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:

@@ -10,7 +10,10 @@ import math
 import os
 import platform
 import secrets
+import shutil
 import stat
+import sys
+import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -28,6 +31,8 @@ PART_PREFIX = ".part-"
 _STALE_SECONDS = 24 * 3600.0
 # No library chooses a format by a longer extension, and a longer one might not fit into a file's name.
 _LONGEST_EXTENSION = 20
+# Links from one to another, as many as Linux follows.
+_MOST_LINKS = 40
 # Of a JSON file: far more than any description of a camera, of a display, or of 100,000 frames has.
 MOST_BYTES = 1 << 28
 # Nothing that the project counts is as large as this, and larger numbers overflow where they meet floats.
@@ -40,6 +45,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
     Any number of processes may write to one folder, or one target, at the same time: the last one wins.
     Content and name are on the disk when this returns. Partial files of processes that died are removed.
+    A link stays, and the file that it leads to is written. Pipes, character devices and open files such as
+    /dev/stdout take the content as a stream.
 
     Args:
         path: the target; its folder is created.
@@ -49,6 +56,21 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
+    try:
+        if _is_stream(path):
+            _write_to_stream(path, write)
+        else:
+            _write_beside(Path(os.path.realpath(path)) if path.is_symlink() else path, write)
+    except (OSError, RuntimeError, ValueError) as error:
+        # A name that holds a NUL byte is a ValueError; one in what is written is the caller's.
+        if isinstance(error, ValueError) and "\0" not in str(path):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise UserError(f"{str(path)!r}"[1:-1] + f": cannot be written ({reason})") from error
+
+
+def _write_beside(path: Path, write: Callable[[Path], object]) -> None:
+    """As `write_whole`, to an ordinary file."""
     part = _part_of(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,16 +85,45 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         # The name as well, where the system can tell.
         with contextlib.suppress(OSError), _opened(path.parent) as folder:
             os.fsync(folder)
-    except (OSError, RuntimeError, ValueError) as error:
-        # A name that holds a NUL byte is a ValueError; one in what is written is the caller's.
-        if isinstance(error, ValueError) and "\0" not in str(path):
-            raise
-        reason = getattr(error, "strerror", None) or error
-        raise UserError(f"{str(path)!r}"[1:-1] + f": cannot be written ({reason})") from error
     finally:
         # Also after an interruption.
         with contextlib.suppress(OSError, ValueError):
             part.unlink()
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether a path leads to a pipe, to a character device, or to a file that this process has open."""
+    if _descriptor(path) is not None:
+        return True
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return False
+    return stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)
+
+
+def _descriptor(path: Path) -> int | None:
+    """The number of the open file that a path such as /dev/stdout or /dev/fd/3 stands for."""
+    for _ in range(_MOST_LINKS):
+        folder = os.path.realpath(path.parent)
+        if folder in (f"/proc/{os.getpid()}/fd", "/dev/fd") and path.name.isdecimal():
+            return int(path.name)
+        if not path.is_symlink():
+            return None
+        path = path.parent / os.readlink(path)
+    return None
+
+
+def _write_to_stream(path: Path, write: Callable[[Path], object]) -> None:
+    """As `write_whole`, to a stream, which gets all of the content or, if that cannot be made, nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / path.name
+        write(whole)
+        number = _descriptor(path)
+        # What was printed comes first, and what will be printed comes after.
+        sys.stdout.flush()
+        with whole.open("rb") as source, open(path if number is None else os.dup(number), "wb") as stream:
+            shutil.copyfileobj(source, stream)
 
 
 @contextlib.contextmanager
@@ -175,7 +226,8 @@ def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> 
         ValueError: it is too large, not JSON, nested too deeply, or a number in it is too large.
     """
     require_size_below(path, most_bytes)
-    return parse_json(path.read_text(encoding="utf-8"), finite)
+    # Some programs start texts with a byte order mark.
+    return parse_json(path.read_text(encoding="utf-8-sig"), finite)
 
 
 def parse_json(text: str, finite: bool = True) -> Any:

@@ -144,7 +144,8 @@ def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace
     gazes: list[tuple[float, float]] = []
     try:
         require_size_below(path, _MOST_BYTES)
-        with path.open(newline="") as file:
+        # Spreadsheets start texts with a byte order mark, and many programs end them with an empty line.
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.reader(file)
             names = [name.strip() for name in next(rows, [])]
             in_degrees = names[:3] == _COLUMNS_OF_ANGLES
@@ -152,6 +153,8 @@ def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace
                 known = f"{','.join(_COLUMNS)} or {','.join(_COLUMNS_OF_ANGLES)}"
                 raise UserError(f"{path}: is not a gaze trace; its first line must be {known}")
             for number, row in enumerate(rows, 2):
+                if not any(cell.strip() for cell in row):
+                    continue
                 second, gaze = _parsed(path, number, row[: len(_COLUMNS)] if in_degrees else row, in_degrees)
                 time = f"{path}: line {number}: time {row[0].strip()[:40]}"
                 if not np.isfinite(second) or (seconds and second < seconds[-1]):

@@ -25,6 +25,8 @@ def export_ply(
     from splat.io.ply import save_ply
     from splat.model.points import in_world
 
+    if output.suffix.lower() != ".ply":
+        raise UserError(f"{output}: must end in .ply, the only format that is written")
     loaded = load_forest(forest)
     layers = loaded.layers
     number = len(layers) if layer is None else layer

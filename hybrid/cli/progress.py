@@ -6,6 +6,7 @@ Standard output holds results only.
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -61,7 +62,8 @@ _LINE_EVERY = 15.0
 @contextmanager
 def progress_bar(title: str) -> Iterator[Bar]:
     """A progress bar for one job, with the elapsed time and the time left; a line now and then in a file."""
-    if not console.is_terminal:
+    # Colours may be forced into a file, or a terminal know no control sequences: bars need one that does.
+    if console.is_dumb_terminal or not sys.stderr.isatty():
         yield _lines(title)
         return
     columns = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
-from compose.base.errors import UserError, require_seed
+from compose.base.errors import UserError, as_plain_numbers, require_seed
 from compose.eye.gaze import require_within_frame
 from hybrid.measure.image_metrics import SSIM_MARGIN
 from hybrid.measure.regions import plain_regions
@@ -46,6 +46,7 @@ class EvaluationSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        as_plain_numbers(self)
         for name in ("width", "height", "views", "reference_spp", "repeats"):
             if getattr(self, name) <= 0:
                 raise UserError(f"{name.replace('_', '-')} {getattr(self, name)}: must be positive")

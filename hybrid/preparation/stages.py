@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from compose.base.errors import UserError, require_seed
+from compose.base.errors import UserError, as_plain_numbers, require_seed
 
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
@@ -146,6 +146,7 @@ class PreparationSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        as_plain_numbers(self)
         if self.quality not in QUALITIES:
             raise UserError(f"quality {self.quality}: must be {', '.join(QUALITIES)}")
         if self.minutes is not None and not 0 < self.minutes <= MOST_MINUTES:

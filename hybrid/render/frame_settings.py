@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, as_plain_numbers
 from compose.camera.camera import Camera
 from compose.eye.acuity import COARSEST_RATE, DEFAULT_ACUITY_MODEL, acuity_model_named
 from compose.eye.display import DISPLAYS, Display, display_named
@@ -121,6 +121,7 @@ class FrameSettings:
     aovs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        as_plain_numbers(self)
         acuity_model_named(self.acuity_model)
         # Checks the radii.
         _ = self.foveation

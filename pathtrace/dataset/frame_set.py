@@ -11,7 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from compose.base.errors import UserError, claimed_scene, file_inside, one_line, require_seed
+from compose.base.errors import (
+    UserError,
+    as_plain_numbers,
+    claimed_scene,
+    file_inside,
+    one_line,
+    require_seed,
+)
 from compose.base.files import MOST_BYTES, parse_json, require_size_below
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import camera_from_json
@@ -182,6 +189,7 @@ class CaptureSettings:
     monocular: bool = False
 
     def __post_init__(self) -> None:
+        as_plain_numbers(self)
         for name in ("views", "width", "height", "spp", "held_out_spp"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name.replace('_', '-')} is {getattr(self, name)}; must be positive")

@@ -118,7 +118,7 @@ class PosedImage:
     Attributes:
         camera: the view without the distortion of its lens, in the size of the image.
         lens: its distortion; None if there is none.
-        file: the image, PNG in sRGB, with or without alpha.
+        file: the image, PNG or JPEG in sRGB, with or without alpha.
         labels: an image of the same size that shows what moves; None if nobody says.
         time: that it shows, from 0 to 1.
         held_out: whether training must not see it.

@@ -1,9 +1,13 @@
 """Reads folders of posed images in several layouts, which it recognizes.
 
 That of NeRF's synthetic scenes, and of D-NeRF: transforms_train.json and transforms_test.json. Frames are
-`file_path` (without .png), `transform_matrix` (camera to world in OpenGL axes) and, of scenes that move,
-`time`; `camera_angle_x` is the horizontal field of view in radians (Mildenhall et al. 2020; Pumarola et al.
-2021).
+`file_path` (of synthetic scenes without .png), `transform_matrix` (camera to world in OpenGL axes) and, of
+scenes that move, `time`; `camera_angle_x` is the horizontal field of view in radians (Mildenhall et al. 2020;
+Pumarola et al. 2021). Focal lengths `fl_x` and `fl_y`, principal point `cx` and `cy`, and distortion k1, k2,
+k3, p1, p2, in pixels of images of `w` by `h`, are those of instant-ngp; frames may have their own.
+
+That of nerfstudio and instant-ngp: one transforms.json of that kind, which may say which frames are held out
+(`test_filenames`, else `val_filenames`).
 
 That of Nerfies, HyperNeRF (Park et al. 2021) and NeRF-DS (Yan et al. 2023), which adds labels:
 
@@ -22,6 +26,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +46,13 @@ SYNTHETIC = "NeRF-synthetic or D-NeRF"
 TRAINING = "transforms_train.json"
 # Held out are test images; of a folder without any, those for validation.
 _HELD_OUT = "transforms_test.json", "transforms_val.json"
+NERFSTUDIO = "nerfstudio or instant-ngp"
+TRANSFORMS = "transforms.json"
+# Of more frames than this, each n-th is held out if nobody says which, as is convention.
+_HELD_OUT_EVERY = 8
+_IMAGES = ".png", ".jpg", ".jpeg"
+# Lenses without distortion, or with that of OpenCV; others are refused.
+_LENSES = "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"
 NERFIES = "Nerfies, HyperNeRF or NeRF-DS"
 DATASET = "dataset.json"
 _SCALES = (1, 2, 4, 8, 16)
@@ -56,7 +68,16 @@ _ROUNDING = 2
 
 def is_posed_folder(folder: Path) -> bool:
     """Whether a folder has one of the layouts that can be read."""
-    return (folder / TRAINING).is_file() or (folder / DATASET).is_file()
+    return (folder / TRAINING).is_file() or (folder / DATASET).is_file() or _is_nerfstudio(folder)
+
+
+def _is_nerfstudio(folder: Path) -> bool:
+    """Whether the folder's only description is not one of this project's own frame sets."""
+    try:
+        content = read_json(folder / TRANSFORMS)
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and "frames" in content and "format_version" not in content
 
 
 def read_posed_folder(folder: Path) -> PosedFolder:
@@ -71,9 +92,12 @@ def read_posed_folder(folder: Path) -> PosedFolder:
     elif (folder / DATASET).is_file():
         layout = NERFIES
         images, points, bounds = read_nerfies(folder)
+    elif _is_nerfstudio(folder):
+        layout, images = NERFSTUDIO, read_nerfstudio(folder)
     else:
         raise UserError(
-            f"{folder}: unknown layout; must be that of {SYNTHETIC} ({TRAINING}) or of {NERFIES} ({DATASET})"
+            f"{folder}: unknown layout; must be that of {SYNTHETIC} ({TRAINING}), of {NERFSTUDIO} "
+            f"({TRANSFORMS}) or of {NERFIES} ({DATASET})"
         )
     if all(image.held_out for image in images):
         raise UserError(f"{folder}: holds no frames to train on")
@@ -130,31 +154,82 @@ def read_synthetic(folder: Path) -> list[PosedImage]:
     return images
 
 
+def read_nerfstudio(folder: Path) -> list[PosedImage]:
+    """The images of a folder in the file's order; UserError as in `read_synthetic`."""
+    content, images = document(folder / TRANSFORMS), _frames(folder, TRANSFORMS, False)
+    with described_by(folder / TRANSFORMS):
+        named = next((content[key] for key in ("test_filenames", "val_filenames") if content.get(key)), None)
+        if named is not None:
+            chosen = {_image_file(folder, name) for name in named}
+            return [replace(image, held_out=image.file in chosen) for image in images]
+    if len(images) <= _HELD_OUT_EVERY:
+        return images
+    return [replace(image, held_out=number % _HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
+
+
 def _frames(folder: Path, name: str, held_out: bool) -> list[PosedImage]:
     path = folder / name
     content = document(path)
     with described_by(path):
-        angle = float(content["camera_angle_x"])
-        if not 0 < angle < math.pi:
-            raise ValueError(f"camera_angle_x {angle:g}: must be in radians, above 0 and below pi")
         frames = list(content["frames"])
     found = []
     for number, frame in enumerate(frames):
         with described_by(path, f"frame {number}"):
-            found.append(_image(folder, frame, angle, held_out))
+            file = _image_file(folder, frame["file_path"])
+            camera, lens = _camera({**content, **frame}, read_size(file))
+            found.append(PosedImage(camera, lens, file, None, time_of(frame), held_out))
     return found
 
 
-def _image(folder: Path, frame: dict[str, Any], angle: float, held_out: bool) -> PosedImage:
-    file = file_inside(folder, frame["file_path"])
-    if file.suffix.lower() != ".png":
-        file = file.with_name(file.name + ".png")
-    (width, height), pose = read_size(file), np.asarray(frame["transform_matrix"], dtype=np.float64)
+def _image_file(folder: Path, name: Any) -> Path:
+    """The image of a frame: as it is named, or of the first kind that there is if only the stem is named."""
+    file = file_inside(folder, name.replace("\\", "/") if isinstance(name, str) else name)
+    if file.suffix.lower() in _IMAGES:
+        return file
+    kinds = [file.with_name(file.name + suffix) for suffix in _IMAGES]
+    return next((kind for kind in kinds if kind.is_file()), kinds[0])
+
+
+def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera, Lens | None]:
+    """The camera of an image of a size, and its lens if that distorts, by what the file says of it."""
+    pose = np.asarray(values["transform_matrix"], dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("transform_matrix must be 4 x 4 finite numbers")
-    focal = width / 2 / math.tan(angle / 2)
-    camera = camera_from_pose(opencv_from_opengl(pose), width, height, focal, focal, width / 2, height / 2)
-    return PosedImage(camera, None, file, None, time_of(frame), held_out)
+    model = values.get("camera_model", _LENSES[0])
+    if model not in _LENSES or values.get("is_fisheye"):
+        raise ValueError(
+            f"camera_model {model}: must be one of {', '.join(_LENSES)}; undistort the images first"
+        )
+    number = lambda name, default: float(values.get(name, default) or 0)  # noqa: E731
+    width, height = number("w", size[0]), number("h", size[1])
+    if "fl_x" in values:
+        focal = number("fl_x", 0), number("fl_y", values["fl_x"])
+    else:
+        focal = (_focal(values, "camera_angle_x", width),) * 2
+        if "camera_angle_y" in values:
+            focal = focal[0], _focal(values, "camera_angle_y", height)
+    centre = number("cx", width / 2), number("cy", height / 2)
+    coefficients = [number(name, 0) for name in ("k1", "k2", "k3", "k4", "p1", "p2")]
+    if not (
+        min(width, height, *focal) > 0 and np.isfinite([width, height, *focal, *centre, *coefficients]).all()
+    ):
+        raise ValueError("w, h, fl_x and fl_y must be positive, and all numbers of the lens finite")
+    k1, k2, k3, k4, p1, p2 = coefficients
+    if k4:
+        raise ValueError(f"k4 {k4:g}: only k1, k2, k3, p1 and p2 are known; undistort the images first")
+    # Images may be smaller copies of those that were calibrated.
+    across, down = size[0] / width, size[1] / height
+    intrinsics = focal[0] * across, focal[1] * down, centre[0] * across, centre[1] * down
+    lens = Lens((k1, k2, k3), (p1, p2))
+    return camera_from_pose(opencv_from_opengl(pose), *size, *intrinsics), None if lens == Lens() else lens
+
+
+def _focal(values: dict[str, Any], name: str, side: float) -> float:
+    """Focal length in pixels of a field of view in radians along a side in pixels."""
+    angle = float(values[name])
+    if not 0 < angle < math.pi:
+        raise ValueError(f"{name} {angle:g}: must be in radians, above 0 and below pi")
+    return side / 2 / math.tan(angle / 2)
 
 
 def read_nerfies(

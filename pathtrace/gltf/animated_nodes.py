@@ -28,8 +28,7 @@ class Sampler:
         interpolation: LINEAR, STEP or CUBICSPLINE.
         is_rotation: whether values are quaternions (x, y, z, w), which turn at a constant speed.
 
-    ValueError if times do not ascend, are negative, or are not as many as the values, or a quaternion has no
-    length.
+    ValueError if times do not ascend, or are not as many as the values, or a quaternion has no length.
     """
 
     times: Array
@@ -40,8 +39,8 @@ class Sampler:
     def __post_init__(self) -> None:
         if len(self.times) != len(self.values):
             raise ValueError(f"has {len(self.times)} times for {len(self.values)} values")
-        if self.times[0] < 0 or (np.diff(self.times) <= 0).any():
-            raise ValueError("has times that do not ascend from 0")
+        if (np.diff(self.times) <= 0).any():
+            raise ValueError("has times that do not ascend")
         if self.is_rotation and not np.linalg.norm(self._keys, axis=1).all():
             raise ValueError("has a quaternion without length")
 
@@ -85,8 +84,8 @@ class Animation:
 
     @property
     def seconds(self) -> float:
-        """When its last keyframe is; 0 if nothing moves."""
-        return max((float(sampler.times[-1]) for sampler in self.channels.values()), default=0.0)
+        """When its last keyframe is, from 0 on; 0 if nothing moves."""
+        return max([0.0, *(float(sampler.times[-1]) for sampler in self.channels.values())])
 
     def even_times(self, fps: float) -> Array:
         """(T,) equal steps of time in seconds, from 0 to the end, at least so many a second."""
@@ -100,6 +99,7 @@ class Animation:
             if sampler.interpolation == "STEP":
                 found.append(sampler.times[1:] - _STEP * self.seconds)
         times = np.unique(np.concatenate(found))
+        times = times[times >= 0]
         # Those that are closer are the same but for rounding, and keyframes must ascend.
         return times[np.diff(times, prepend=-np.inf) > 0.1 * _STEP * self.seconds]
 
@@ -138,11 +138,14 @@ def _animation(document: Document, item: dict[str, Any], name: str, remarks: lis
         if not 0 <= channel["sampler"] < len(item["samplers"]):
             raise document.refused(f"{user} refers to samplers[{channel['sampler']}], which does not exist")
         sampler = item["samplers"][int(channel["sampler"])]
-        channels[int(target["node"]), target["path"]] = _sampler(document, sampler, target["path"], user)
+        found = _sampler(document, sampler, target["path"], user, remarks)
+        channels[int(target["node"]), target["path"]] = found
     return Animation(channels)
 
 
-def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) -> Sampler:
+def _sampler(
+    document: Document, sampler: dict[str, Any], path: str, user: str, remarks: list[str]
+) -> Sampler:
     kind = sampler["interpolation"]
     if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
         raise document.refused(f"{user} has the interpolation {kind}; must be LINEAR, STEP or CUBICSPLINE")
@@ -154,6 +157,13 @@ def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) 
     if left or (path != "weights" and columns != _COLUMNS[path]):
         raise document.refused(f"{user} has {len(values)} values for {len(times)} keyframes")
     rows = values.reshape(len(times), parts, columns)
+    # What comes next at the same time is what is seen from then on.
+    last = np.diff(times, append=np.inf) != 0
+    if not last.all():
+        remarks.append(f"{user} has keyframes at the same time, of which the last one counts")
+        times, rows = times[last], rows[last]
+    if times[0] < 0:
+        remarks.append(f"{user} starts before 0, from which it is played")
     try:
         return Sampler(times, rows if parts == 3 else rows[:, 0], kind, path == "rotation")
     except ValueError as error:

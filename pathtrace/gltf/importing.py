@@ -68,15 +68,20 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
         raise UserError(f"{folder}: exists already; name another folder, or remove it")
     part = None
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        part = folder.with_name(f"{PART_PREFIX}{secrets.token_hex(8)}")
-        part.mkdir()
+        # A folder that is there may be the working one, or a link, and stays.
+        part = (folder if folder.is_dir() else folder.parent) / f"{PART_PREFIX}{secrets.token_hex(8)}"
+        part.mkdir(parents=True)
         try:
             found = _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
         except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
             # The schema leaves extensions alone, and much that refers to something.
             raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
-        os.replace(part, folder)
+        if folder.is_dir():
+            # The scene last: without it, the folder has none.
+            for file in sorted(part.iterdir(), key=lambda file: file.name == _SCENE):
+                os.replace(file, folder / file.name)
+        else:
+            os.replace(part, folder)
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({one_line(error)})") from error
     finally:

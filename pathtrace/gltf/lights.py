@@ -19,6 +19,8 @@ _EXTENSION = "KHR_lights_punctual"
 # Irradiance by which a white wall is white in a picture, and how much more counts as too bright.
 _WHITE, _TOO_BRIGHT = np.pi, 10.0
 _HEIGHT, _MOST_ASPECT = 512, 8.0
+# Largest angle from a spot's axis, rounded up, and largest inner angle over the outer one.
+_WIDEST, _SHARPEST = np.pi / 2 + 1e-6, 0.999
 # Of a camera that is made up, degrees.
 _FOV = 45.0
 
@@ -76,14 +78,18 @@ def read_lights(document: Document, nodes: Nodes) -> list[Light]:
 
 
 def _light(document: Document, node: int, item: dict[str, Any], user: str) -> Light:
-    kind, spot = item.get("type"), item.get("spot", {})
+    kind, spot = item.get("type"), item.get("spot") or {}
     if kind not in ("point", "spot", "directional"):
         raise document.refused(f"{user} is of the type {kind}; must be point, spot or directional")
     colour = np.array(item.get("color", [1, 1, 1]), dtype=np.float64)
     intensity = float(item.get("intensity", 1.0))
     inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
-    if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not 0 <= inner < outer <= np.pi / 2:
+    is_cone = kind != "spot" or (inner >= 0 and 0 < outer <= _WIDEST)
+    if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not is_cone:
         raise document.refused(f"{user} has a colour, intensity or cone that no light has")
+    # In float32, a quarter turn is a little more; and Mitsuba's light must have an edge.
+    outer = min(outer, np.pi / 2)
+    inner = min(inner, _SHARPEST * outer)
     return Light(node, kind, colour * intensity, (float(np.degrees(inner)), float(np.degrees(outer))))
 
 

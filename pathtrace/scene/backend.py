@@ -6,6 +6,7 @@ The variant is Mitsuba's own global state and the only one in the project; only 
 from __future__ import annotations
 
 import ctypes.util
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,7 @@ class Backend:
 
 
 _selected: Backend | None = None
+_process = 0
 
 
 def select_backend(choice: str = "auto") -> Backend:
@@ -36,7 +38,8 @@ def select_backend(choice: str = "auto") -> Backend:
     Raises:
         UserError: the choice is unknown or not available, or another backend is already in use.
     """
-    global _selected
+    global _selected, _process
+    require_own_process()
     if choice not in ("auto", "cuda", "llvm"):
         raise UserError(f"backend {choice}: must be auto, cuda or llvm")
     if _selected is not None:
@@ -44,8 +47,17 @@ def select_backend(choice: str = "auto") -> Backend:
         if wanted != _selected.variant:
             raise UserError(f"backend {choice}: {_selected.variant} is already in use")
         return _selected
-    _selected = _select(choice)
+    _selected, _process = _select(choice), os.getpid()
     return _selected
+
+
+def require_own_process() -> None:
+    """UserError in a fork of the process that selected the backend: Dr.Jit's threads are not in it."""
+    if _process not in (0, os.getpid()):
+        raise UserError(
+            "this process is a fork of one that renders, in which Dr.Jit would wait for ever; start "
+            'processes with multiprocessing.get_context("spawn")'
+        )
 
 
 def _select(choice: str) -> Backend:

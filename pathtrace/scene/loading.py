@@ -28,6 +28,7 @@ from pathtrace.scene.triangles import Surfaces
 # What scales with its to_world alone; for other plugins, another unit of length would change how they look.
 _SHAPES = ("obj", "ply", "serialized", "cube", "rectangle", "disk", "sphere", "cylinder", "instance")
 _POINTS = ("point", "spot")
+_CAMERAS = ("perspective", "thinlens")
 _ENDLESS = ("constant", "envmap", "directional", "sunsky", "sun", "sky", BALANCED_SUNSKY)
 # Where float32 has this many steps to a power of two.
 _STEPS = 2.0**23
@@ -44,9 +45,9 @@ class ImmovableError(ValueError):
 
 
 def camera_position(state: Any) -> Array:
-    """(3,) position in world space, float64, of the first camera of a parsed scene."""
+    """(3,) position in world space, float64, of the first perspective camera of a parsed scene."""
     for node in state.nodes:
-        if node.type == mi.ObjectType.Sensor:
+        if node.type == mi.ObjectType.Sensor and node.props.plugin_name() in _CAMERAS:
             return _to_world(node.props)[:3, 3]
     return np.zeros(3)
 
@@ -124,7 +125,7 @@ def _relocate_to_world(properties: Any, place: Place) -> None:
     matrix = _to_world(properties)
     matrix[:3] /= place.unit
     matrix[:3, 3] -= np.array(place.origin) / place.unit
-    if properties.plugin_name() in ("perspective", "thinlens"):
+    if properties.plugin_name() in _CAMERAS:
         # A camera has no scale.
         matrix[:3, :3] *= place.unit
         for clip in ("near_clip", "far_clip"):
@@ -273,22 +274,35 @@ def _in(folder: Path, load: Callable[[], Any]) -> Any:
 
 
 def camera_of_sensor(sensor: Any, source: str) -> Camera:
-    """The camera of a perspective sensor, at the size of its film; `source` stands in error messages.
+    """The camera of a perspective sensor, at the size of its film's crop window, by default the whole film.
 
-    UserError if the sensor is not a perspective one, or its to_world mirrors or shears.
+    `source` stands in error messages. UserError if the sensor's to_world mirrors or shears.
     """
-    parameters = mi.traverse(sensor)
-    if "x_fov" not in parameters:
-        raise UserError(f"{source}: the camera is not a perspective one; use <sensor type='perspective'>")
-    width, height = (int(v) for v in sensor.film().size())
+    parameters, film = mi.traverse(sensor), sensor.film()
+    width, height = (int(v) for v in film.size())
     focal = 0.5 * width / np.tan(np.radians(float(parameters["x_fov"][0])) / 2)
-    offset = [float(parameters[f"principal_point_offset_{axis}"][0]) for axis in "xy"]
+    names = [f"principal_point_offset_{axis}" for axis in "xy"]
+    # A thin lens has none.
+    offset = [float(parameters[name][0]) if name in parameters else 0.0 for name in names]
     to_world = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4)
     centre = width * (0.5 - offset[0]), height * (0.5 - offset[1])
+    left, top = (int(v) for v in film.crop_offset())
     try:
-        return camera_from_pose(opencv_from_mitsuba(to_world), width, height, focal, focal, *centre)
+        whole = camera_from_pose(opencv_from_mitsuba(to_world), width, height, focal, focal, *centre)
+        return whole.cropped(left, top, *(int(v) for v in film.crop_size()))
     except ValueError as error:
         raise UserError(f"{source}: the camera's to_world: {error}") from error
+
+
+def perspective_sensor(scene: Any, source: str) -> Any:
+    """The first perspective sensor of a Mitsuba scene, or thin lens; UserError if it has none."""
+    sensors = scene.sensors()
+    if not sensors:
+        raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
+    found = [sensor for sensor in sensors if "x_fov" in mi.traverse(sensor)]
+    if not found:
+        raise UserError(f"{source}: the camera is not a perspective one; use <sensor type='perspective'>")
+    return found[0]
 
 
 def in_good_coordinates(
@@ -304,7 +318,7 @@ def in_good_coordinates(
     unit = 1.0
     while True:
         moved, place, step = load_mitsuba_in_place(source, unit, apart)
-        own = camera_of_sensor(moved.sensors()[0], source.name)
+        own = camera_of_sensor(perspective_sensor(moved, source.name), source.name)
         distance = _distance(moved, own)
         if not 0 < distance < np.inf:
             # It sees nothing: whoever needs surfaces says so.

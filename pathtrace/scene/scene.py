@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import threading
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +16,27 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
-from pathtrace.scene.loading import Source, camera_of_sensor, in_good_coordinates, load_mitsuba
+from pathtrace.scene.loading import (
+    Source,
+    camera_of_sensor,
+    in_good_coordinates,
+    load_mitsuba,
+    perspective_sensor,
+)
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.panes import with_thin_glass
-from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH, read_description, text_fingerprint
+from pathtrace.scene.scene_xml import (
+    DEFAULT_MAX_DEPTH,
+    dictionary_fingerprint,
+    read_description,
+    text_fingerprint,
+)
 from pathtrace.scene.sunsky import balanced_dictionary
 from pathtrace.scene.triangles import Surfaces
 
+_LOG = logging.getLogger("hybrid")
+_LOADING = threading.RLock()
 _REPOSITORY_SCENES = Path(__file__).resolve().parents[2] / "scenes"
 _INSTALLED_SCENES = Path(__file__).resolve().parents[1] / "scenes"
 RUSSIAN_ROULETTE_DEPTH = 5
@@ -42,7 +58,8 @@ def scene_file(source: str | Path) -> Path:
         path = path / "scene.xml"
     if not path.is_file():
         raise UserError(f"{source}: no such scene; name one of {', '.join(bundled)} or a Mitsuba XML file")
-    return path.resolve()
+    # Not where links lead: the files that it names lie beside the link.
+    return path.absolute()
 
 
 def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
@@ -163,9 +180,13 @@ def load_scene(
 ) -> Scene:
     """Loads a scene and checks that it can be rendered.
 
+    What Mitsuba would show otherwise, such as the blur of a lens, is logged once by the logger "hybrid".
+    Threads load one after the other, since Mitsuba's search folders are those of the process.
+
     Args:
-        source: a bundled scene's name, the path of a Mitsuba 3 XML file or of a folder with a scene.xml, or
-            a scene dictionary as for `mitsuba.load_dict`.
+        source: a bundled scene's name, the path of a Mitsuba 3 XML file or of a folder with a scene.xml, XML
+            text, whose files are relative to the working folder, or a scene dictionary as for
+            `mitsuba.load_dict`.
         max_depth: path depth, at least 1, instead of the scene's own.
         thin_glass: whether panes of glass pass light straight on, so that shadow rays reach lights behind
             them: with far less noise, but without the shift of what is seen through thick ones.
@@ -177,26 +198,37 @@ def load_scene(
             panes of the thin glass that is asked for, or is too small or too far from the origin for Mitsuba
             and cannot be moved or scaled; or its motion is damaged, or not of this scene.
     """
+    with _LOADING:
+        return _loaded(source, max_depth, thin_glass, motion)
+
+
+def _loaded(
+    source: str | Path | dict[str, Any], max_depth: int | None, thin_glass: bool, motion: Path | None
+) -> Scene:
+    """As `load_scene`."""
     if isinstance(source, dict):
         name, depth = "dictionary", DEFAULT_MAX_DEPTH
         content = Source(name, balanced_dictionary(source))
-        fingerprint = text_fingerprint(repr(source))
+        fingerprint = dictionary_fingerprint(source)
+        hides = any(isinstance(part, dict) and part.get("hide_emitters") for part in source.values())
     else:
-        path = scene_file(source)
+        is_text = isinstance(source, str) and source.lstrip().startswith("<")
+        path = Path("text.xml").absolute() if is_text else scene_file(source)
         name = path.parent.name if path.stem == "scene" else path.stem
-        description = read_description(path)
-        depth, fingerprint = description.max_depth, description.fingerprint
-        content = Source(str(source), description.text, path.parent)
+        description = read_description(path, str(source) if is_text else None)
+        depth, fingerprint, hides = description.max_depth, description.fingerprint, description.hides_emitters
+        content = Source(name if is_text else str(source), description.text, path.parent)
         beside = path.with_suffix(".motion.json")
-        motion = beside if motion is None and beside.is_file() else motion
+        motion = beside if motion is None and not is_text and beside.is_file() else motion
     moves = None if motion is None else read_motion(motion)
     apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
     loaded = load_mitsuba(content, apart)
-    if not loaded.sensors():
-        raise UserError(f"{content.name}: the scene has no camera; add a <sensor type='perspective'>")
+    sensor = perspective_sensor(loaded, content.name)
     if not loaded.emitters():
         raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
-    camera = camera_of_sensor(loaded.sensors()[0], content.name)
+    for remark in _left_out(loaded, sensor, hides):
+        _say(f"{content.name}: {remark}")
+    camera = camera_of_sensor(sensor, content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera, apart)
     if place != WORLD:
         # Forests and frames of the same scene in other coordinates do not fit it.
@@ -212,3 +244,21 @@ def load_scene(
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
     return scene if max_depth is None else replace(scene.at_depth(max_depth), keeps_depth=True)
+
+
+def _left_out(loaded: Any, sensor: Any, hides_emitters: bool) -> Iterator[str]:
+    """What Mitsuba itself would show of a scene otherwise."""
+    if len(loaded.sensors()) > 1:
+        yield f"{len(loaded.sensors())} cameras; {sensor.id()}, the first perspective one, is used"
+    if "aperture_radius" in mi.traverse(sensor):
+        yield "depth of field is left out; the thin lens counts as a pinhole"
+    if hides_emitters:
+        yield "hide_emitters is ignored; lights are visible"
+    if any(shape.is_medium_transition() for shape in loaded.shapes()):
+        yield "participating media are left out"
+
+
+@cache
+def _say(remark: str) -> None:
+    """Logs a remark, once."""
+    _LOG.info(remark)

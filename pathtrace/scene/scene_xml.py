@@ -12,8 +12,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from compose.base.errors import UserError, one_line, reading
 from compose.base.files import require_size_below
@@ -33,15 +36,14 @@ _MOST_HASHED_BYTES = 1 << 36
 DEFAULT_MAX_DEPTH = 8
 
 
-def parse_xml(path: Path) -> ET.Element:
-    """The top element of an XML file.
+def parse_xml(path: Path, content: bytes | None = None) -> ET.Element:
+    """The top element of an XML file, or of content that is to lie there.
 
     UserError if the file cannot be read, is too large, is not well-formed, declares entities, which can stand
     for any amount of text, or is nested too deeply for parsers that call themselves.
     """
-    with reading(path):
-        require_size_below(path, _MOST_BYTES)
-        content = path.read_bytes()
+    if content is None:
+        content = _content(path)
     # In UTF-16, each character has a zero byte.
     if b"<!ENTITY" in content.replace(b"\0", b""):
         raise UserError(f"{path}: declares XML entities; write out what they stand for")
@@ -57,16 +59,23 @@ def parse_xml(path: Path) -> ET.Element:
     return root
 
 
+def _content(path: Path) -> bytes:
+    with reading(path):
+        require_size_below(path, _MOST_BYTES)
+        return path.read_bytes()
+
+
 @dataclass
 class References:
     """What the XML of a scene, and of the files that it includes, refers to.
 
-    These are names of files in the order of the XML, parameters replaced, which may not exist; folders of
-    `<path>`, in which Mitsuba looks for them besides the scene's; and types of all elements.
+    These are names of files in the order of the XML, parameters replaced, which may not exist, with the
+    folder of the XML that names them; folders of `<path>`, in which Mitsuba looks for them besides that and
+    the scene's; and types of all elements.
     """
 
     source: Path
-    names: list[str] = field(default_factory=list)
+    names: list[tuple[str, Path]] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
     plugins: set[str] = field(default_factory=set)
     _parameters: dict[str, str] = field(default_factory=dict)
@@ -83,9 +92,12 @@ class References:
         found._collect(root, source.parent, 0)
         return found
 
-    def candidates(self, name: str) -> Iterator[Path]:
-        """Files that a name may stand for: those in the search folders, else that in the working folder."""
-        folders = [*self.folders, self.source.parent]
+    def candidates(self, name: str, beside: Path) -> Iterator[Path]:
+        """Files that a name in a file of a folder may stand for.
+
+        They lie in the search folders, in that folder, or in the scene's; else in the working folder.
+        """
+        folders = list(dict.fromkeys([*self.folders, beside, self.source.parent]))
         # Of names that no file can have, pathlib's own function raises an error.
         files = [folder / name for folder in folders if os.path.isfile(folder / name)]
         return iter(files or ([Path(name)] if os.path.isfile(name) else []))
@@ -102,21 +114,21 @@ class References:
             elif element.tag == "path" and value:
                 self.folders += [self.source.parent / value, folder / value]
             elif element.tag == "include":
-                self._include(values.get("filename", ""), depth)
+                self._include(values.get("filename", ""), folder, depth)
             elif element.tag == "string" and values.get("name") == "filename":
-                self.names.append(value)
+                self.names.append((value, folder))
             elif "filename" in values:
-                self.names.append(values["filename"])
+                self.names.append((values["filename"], folder))
 
-    def _include(self, name: str, depth: int) -> None:
+    def _include(self, name: str, folder: Path, depth: int) -> None:
         self._includes += 1
         if depth >= _DEEPEST_INCLUDE or self._includes > _MOST_INCLUDES:
             limits = f"{_DEEPEST_INCLUDE} deep, {_MOST_INCLUDES} in all"
             raise UserError(
                 f"{self.source}: includes {name[:80]!r} too often, or in a loop; at most {limits}"
             )
-        self.names.append(name)
-        for file in self.candidates(name):
+        self.names.append((name, folder))
+        for file in self.candidates(name, folder):
             self._collect(parse_xml(file), file.parent, depth + 1)
 
     def _replaced(self, text: str) -> str:
@@ -152,20 +164,20 @@ def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Pa
             )
 
 
-def file_fingerprint(path: Path, root: ET.Element, references: References) -> str:
-    """Hash (64 hexadecimal digits) of an XML file and of every file that Mitsuba loads because of it.
+def file_fingerprint(content: bytes, root: ET.Element, references: References) -> str:
+    """Hash (64 hexadecimal digits) of a scene's XML and of every file that Mitsuba loads because of it.
 
     Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
     that only includes, search folders or parameters lead to are added, with their sizes. Those that do not
     exist are skipped: Mitsuba reports them when it loads the scene. UserError if a file cannot be read.
     """
-    digest = hashlib.sha256(path.read_bytes())
+    digest, folder = hashlib.sha256(content), references.source.parent
     named = (e for e in root.iter("string") if e.get("name") == "filename")
-    direct = [file for e in named if os.path.isfile(file := path.parent / (e.get("value") or ""))]
+    direct = [file for e in named if os.path.isfile(file := folder / (e.get("value") or ""))]
     for file in direct:
         _add(digest, file)
-    for number, name in enumerate(references.names):
-        for file in references.candidates(name):
+    for number, (name, beside) in enumerate(references.names):
+        for file in references.candidates(name, beside):
             if file not in direct:
                 digest.update(f"{number} {file.stat().st_size}\0".encode())
                 _add(digest, file)
@@ -183,38 +195,68 @@ def _add(digest: hashlib._Hash, file: Path) -> None:
 
 
 def text_fingerprint(text: str) -> str:
-    """Hash of a text: a scene dictionary's printed form, or a fingerprint and what it does not cover."""
+    """Hash of a text: a fingerprint and what it does not cover."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def dictionary_fingerprint(scene: dict[str, Any]) -> str:
+    """Hash of a scene dictionary, its printed form, and of the files and the objects that it holds.
+
+    UserError if a file cannot be read.
+    """
+    digest = hashlib.sha256(repr(scene).encode())
+    _add_held(digest, scene)
+    return digest.hexdigest()
+
+
+def _add_held(digest: hashlib._Hash, value: Any) -> None:
+    """Adds what the printed form of a value does not show."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            file = Path(part) if key == "filename" and isinstance(part, str) else None
+            if file is not None and os.path.isfile(file):
+                _add(digest, file)
+            _add_held(digest, part)
+    elif isinstance(value, mi.Bitmap | np.ndarray) or dr.is_array_v(value):
+        values = np.asarray(value)
+        digest.update(f"{values.dtype} {values.shape}\0".encode() + values.tobytes())
+    elif isinstance(value, mi.Object):
+        for _, part in mi.traverse(value):
+            _add_held(digest, part)
 
 
 @dataclass(frozen=True)
 class SceneDescription:
-    """A scene's XML without its integrator, the hash of all files, and the path depth that it asks for.
+    """A scene's XML without its integrator, the hash of all files, and what the integrator asks for.
 
-    That is DEFAULT_MAX_DEPTH at most.
+    That is the path depth, DEFAULT_MAX_DEPTH at most, and whether lights are hidden from the camera.
     """
 
     text: str
     fingerprint: str
     max_depth: int
+    hides_emitters: bool = False
 
 
-def read_description(path: Path) -> SceneDescription:
-    """Reads a scene's XML file and removes its integrator.
+def read_description(path: Path, text: str | None = None) -> SceneDescription:
+    """Reads a scene's XML file, or a text that is to lie there, and removes its integrator.
 
     Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
     author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
     memory, or would load native code that is not Mitsuba's.
     """
-    root = parse_xml(path)
+    content = _content(path) if text is None else text.encode()
+    root = parse_xml(path, content)
     depth = _max_depth(root)
+    flags = root.findall("integrator//boolean[@name='hide_emitters']")
+    hides = any((flag.get("value") or "").strip().lower() == "true" for flag in flags)
     for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
         root.remove(element)
     references = References.of(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
-    fingerprint = file_fingerprint(path, root, references)
+    fingerprint = file_fingerprint(content, root, references)
     balance_xml(root)
-    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth)
+    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth, hides)
 
 
 def _max_depth(root: ET.Element) -> int:

@@ -68,14 +68,20 @@ class Surfaces:
     """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
     Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, as
-    `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; those of a kind that cannot be are
-    missing here.
+    `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with instances, curves or
+    other shapes that are not, rays are traced by Mitsuba.
     """
 
     def __init__(self, scene: Any):
         self._embree = EmbreeScene()
         parts = [triangles_of(shape) for shape in scene.mitsuba.shapes()]
-        corners = np.concatenate([np.zeros((0, 3, 3)), *(part for part in parts if part is not None)])
+        known = [part for part in parts if part is not None]
+        self._mitsuba: Any = scene.mitsuba if len(known) < len(parts) else None
+        if self._mitsuba is not None:
+            box = self._mitsuba.bbox()
+            self.bounds = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+            return
+        corners = np.concatenate([np.zeros((0, 3, 3)), *known])
         points = corners.reshape(-1, 3)
         self.bounds = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         if len(corners):
@@ -86,16 +92,28 @@ class Surfaces:
 
         It is inf where there is none.
         """
+        if self._mitsuba is not None:
+            return self._hits_of_mitsuba(origins, directions)[0]
         return _infinite_where_missed(self._run(origins, directions, query="DISTANCE"))
 
     def hits(self, origins: Array, directions: Array) -> tuple[Array, Array]:
         """`distance`, and the surfaces' unit normals (N, 3), which face the rays; 0 where there is none."""
-        found = self._run(origins, directions, query="INTERSECT", output=True)
-        distance = _infinite_where_missed(found["tfar"])
-        normal = np.asarray(found["Ng"], dtype=np.float64)
+        if self._mitsuba is not None:
+            distance, normal = self._hits_of_mitsuba(origins, directions)
+        else:
+            found = self._run(origins, directions, query="INTERSECT", output=True)
+            distance = _infinite_where_missed(found["tfar"])
+            normal = np.asarray(found["Ng"], dtype=np.float64)
         length = np.linalg.norm(normal, axis=1)
         facing = -np.sign(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
         return distance, np.where(np.isfinite(distance), facing, 0)[:, None] * normal
+
+    def _hits_of_mitsuba(self, origins: Array, directions: Array) -> tuple[Array, Array]:
+        """(N,) distances, inf where nothing is hit, and normals (N, 3) of the surfaces."""
+        start, way = (part.T.astype(np.float32) for part in (origins, directions))
+        found = self._mitsuba.ray_intersect(mi.Ray3f(mi.Point3f(start), mi.Vector3f(way)))
+        distance, normal = np.array(found.t, np.float64), np.array(found.n, np.float64).T
+        return np.where(np.isfinite(distance), distance, np.inf), normal
 
     def _run(self, origins: Array, directions: Array, **how: Any) -> Any:
         rays = (np.ascontiguousarray(part, dtype=np.float32) for part in (origins, directions))

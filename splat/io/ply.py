@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from plyfile import PlyData, PlyParseError
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below, write_whole
@@ -23,6 +26,9 @@ _MOST_BYTES = 1 << 36
 _MOST_HEADER = 1 << 16
 # Normals have no meaning for Gaussians.
 _UNREAD = ("nx", "ny", "nz")
+# A logit whose opacity is 1, and that of its negative 0, in float32.
+_OPAQUE = 20.0
+_LOG = logging.getLogger("hybrid")
 
 
 def _ply_properties(degree: int) -> list[str]:
@@ -62,61 +68,66 @@ def save_ply(path: str | Path, gaussians: Gaussians) -> None:
 def load_ply(path: str | Path) -> Gaussians:
     """Reads Gaussians in the layout of the INRIA implementation.
 
+    The file may be binary of either byte order or ASCII, and its numbers of any type. What else it has, such
+    as further properties or elements, is left out, and logged. Infinite opacity logits count as finite ones
+    of Gaussians that are opaque, or invisible.
+
     Raises:
-        UserError: the file is missing, truncated, or not of that layout, or a number in it is not finite.
+        UserError: the file is missing, damaged, or not of that layout, or another number is not finite.
     """
     path = Path(path)
     if not path.is_file():
         raise UserError(f"{path}: no such file")
-    try:
-        size = require_size_below(path, _MOST_BYTES)
-        with path.open("rb") as file:
-            header = file.read(_MOST_HEADER)
-        count, names, start = _ply_header(path, header)
-        if size - start < count * len(names) * 4:
-            raise UserError(f"{path}: truncated, {count} Gaussians are announced")
-        table = np.fromfile(path, "<f4", count * len(names), offset=start).reshape(count, len(names))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
+    vertices, others = _read(path)
+    names = [name for name in vertices.dtype.names or () if vertices.dtype[name].kind in "fiu"]
     rest = sum(name.startswith("f_rest_") for name in names)
-    column = {name: i for i, name in enumerate(names)}
-    _check_finite(path, table, column)
-    take = lambda *wanted: torch.tensor(table[:, [column[w] for w in wanted]].T.copy())  # noqa: E731
+    degree = round((rest / 3 + 1) ** 0.5) - 1
+    wanted = [name for name in _ply_properties(min(degree, MAX_DEGREE)) if name not in _UNREAD]
+    if degree > MAX_DEGREE or rest != 3 * (sh_count(degree) - 1) or not set(wanted) <= set(names):
+        raise UserError(f"{path}: not a 3D Gaussian splatting PLY (properties x, f_dc_0, scale_0, ...)")
+    if not 0 < len(vertices) <= _MOST_GAUSSIANS:
+        raise UserError(f"{path}: {len(vertices):,} Gaussians; must be 1 to {_MOST_GAUSSIANS:,}")
+    left_out = [name for name in names if name not in (*wanted, *_UNREAD)] + others
+    if left_out:
+        _LOG.info(f"{path}: left out: {one_line(', '.join(left_out))}")
+    with np.errstate(over="ignore"):
+        columns = {name: vertices[name].astype(np.float32) for name in wanted}
+    columns["opacity"] = np.nan_to_num(columns["opacity"], nan=np.nan, posinf=_OPAQUE, neginf=-_OPAQUE)
+    _check_finite(path, columns)
+    take = lambda *of: torch.from_numpy(np.stack([columns[name] for name in of]))  # noqa: E731
     constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
-    directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, count).permute(1, 0, 2)
+    directional = [take(*(f"f_rest_{c * rest // 3 + k}" for c in range(3))) for k in range(rest // 3)]
     scales, turns = (take(*(f"{part}_{i}" for i in range(n))) for part, n in (("scale", 3), ("rot", 4)))
-    sh = torch.cat([constant, directional]).contiguous()
+    sh = torch.cat([constant, torch.stack(directional)]) if rest else constant
     return Gaussians(take("x", "y", "z"), scales, turns, take("opacity")[0], sh)
 
 
-def _check_finite(path: Path, table: NDArray[np.float32], column: dict[str, int]) -> None:
+def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
+    """The rows of the element `vertex`, and the names of the others; UserError if the file is damaged."""
+    try:
+        size = require_size_below(path, _MOST_BYTES)
+        with path.open("rb") as file:
+            header, end, _ = file.read(_MOST_HEADER).partition(b"end_header")
+        if not end or not header.startswith(b"ply"):
+            raise ValueError("not a PLY file")
+        # The library allocates what is announced.
+        for line in re.findall(rb"^element .*?$", header, re.MULTILINE):
+            count = line.split()[-1]
+            if not re.fullmatch(rb"[0-9]{1,18}", count) or int(count) > size:
+                raise ValueError(f"{line.decode(errors='replace')}: not a number of rows that it can hold")
+        found = PlyData.read(path, mmap="r")
+        if "vertex" not in found:
+            raise ValueError("it has no element vertex")
+        return found["vertex"].data, [element.name for element in found if element.name != "vertex"]
+    except (OSError, ValueError, OverflowError, MemoryError, PlyParseError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
+
+
+def _check_finite(path: Path, columns: dict[str, NDArray[np.float32]]) -> None:
     """Names the first Gaussian and property that is not a finite number, if there is one."""
-    read = [name for name in column if name in _ply_properties(MAX_DEGREE) and name not in _UNREAD]
-    wrong = np.argwhere(~np.isfinite(table[:, [column[name] for name in sorted(read)]]))
-    if len(wrong):
-        row, name = wrong[0][0], sorted(read)[wrong[0][1]]
-        value = table[row, column[name]]
+    wrong = {name: np.flatnonzero(~np.isfinite(values)) for name, values in columns.items()}
+    first = min(((rows[0], name) for name, rows in wrong.items() if len(rows)), default=None)
+    if first is not None:
+        row, name = first
+        value = columns[name][row]
         raise UserError(f"{path}: Gaussian {row + 1}: {name} is {value}; must be a finite number")
-
-
-def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], int]:
-    """Number of Gaussians in a file, the names of their properties, and where the header ends."""
-    end = content.find(b"end_header\n")
-    lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
-    if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
-        raise UserError(f"{path}: not a binary little-endian PLY file")
-    after = lambda start: [line[len(start) :].strip() for line in lines if line.startswith(start)]  # noqa: E731
-    counts, names = after("element vertex "), after("property float ")
-    rest = sum(name.startswith("f_rest_") for name in names)
-    degree = round((rest / 3 + 1) ** 0.5) - 1
-    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {*_UNREAD} <= set(names)
-    known = known and rest == 3 * (sh_count(degree) - 1)
-    if len(counts) != 1 or not known or len(after("property ")) != len(names):
-        raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")
-    if not re.fullmatch(r"0*[1-9][0-9]{0,17}", counts[0]):
-        declared = counts[0] if len(counts[0]) <= 40 else f"{counts[0][:40]}..."
-        raise UserError(f"{path}: element vertex {declared}: must be a number of Gaussians, 1 or more")
-    count = int(counts[0])
-    if count > _MOST_GAUSSIANS:
-        raise UserError(f"{path}: {count:,} Gaussians; at most {_MOST_GAUSSIANS:,} can be addressed")
-    return count, names, end + len(b"end_header\n")

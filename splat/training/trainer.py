@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
-from compose.base.errors import require_seed
+from compose.base.errors import as_plain_numbers, require_seed
 from compose.base.files import under
 from splat.model.choices import Labels, MotionModel
 from splat.model.dynamic_light import NodeLight, SurfaceLight
@@ -85,6 +85,7 @@ class TrainingSettings:
     half_frames: bool = False
 
     def __post_init__(self) -> None:
+        as_plain_numbers(self)
         if self.iterations <= 0 or self.gaussians <= 0:
             raise ValueError("iterations and gaussians must be positive")
         if self.layers <= 0:
