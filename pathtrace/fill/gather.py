@@ -179,14 +179,6 @@ def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Fol
 
 
 @dataclass(frozen=True)
-class Direct:
-    """Irradiance (N, 3) from lights at N points, by SAMPLES samples of the lights at each."""
-
-    irradiance: NDArray[np.float32]
-    samples: LightSamples
-
-
-@dataclass(frozen=True)
 class Seen:
     """What M rays from points found.
 
@@ -226,13 +218,16 @@ class Seen:
         return Seen(**values, hits=joined_points([part.hits for part in parts]))
 
 
-def gather_direct(scene: Any, points: Points, seed: int) -> Direct:
-    """Samples the lights of a Mitsuba scene from points; same seed, same samples."""
+def gather_direct(scene: Any, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
+    """Irradiance (N, 3) from the lights of a Mitsuba scene at N points, by SAMPLES samples of them at each.
+
+    Also returns the samples; same seed, same samples.
+    """
     places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
     *means, sampled, registered = sampled_lights(scene, dr.opaque(mi.UInt32, seed), places, len(points))
     light = light_numbers(scene)[registered.numpy()]
     samples = LightSamples(np.arange(len(light)) // SAMPLES, light, sampled.numpy())
-    return Direct(np.stack([channel.numpy() for channel in means], axis=1), samples)
+    return np.stack([channel.numpy() for channel in means], axis=1), samples
 
 
 def sampled_lights(
@@ -311,7 +306,7 @@ def irradiance_over_time(
     for number, time in enumerate(times):
         scene.set_time(time)
         now = points(time)
-        rounds = [gather_direct(scene.mitsuba, now, seed + n).irradiance for n in range(_ROUNDS)]
+        rounds = [gather_direct(scene.mitsuba, now, seed + n)[0] for n in range(_ROUNDS)]
         found[number] = indirect + np.mean(rounds, axis=0).T
         if len(moving) and number in some:
             arriving.append(_indirect(scene, cache, now.take(moving), seed))

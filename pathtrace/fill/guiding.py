@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from pathtrace.cache.cells import Cells, Points
 from pathtrace.cache.transport import Links, Patches, Rays, Transfer, Transport, sums_by
-from pathtrace.fill.gather import Direct, Seen, gather_seen
+from pathtrace.fill.gather import Seen, gather_seen
 
 # Bins along each side of the square of directions.
 _SIDE = 8
@@ -136,30 +136,18 @@ def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -
     return Links(seen.point[kept], cell[kept], seen.bounces[kept], reflectance)
 
 
-@dataclass(frozen=True, eq=False)
 class GuidedPlaces:
-    """N points, the cells and patches that they lie in, and the light of lights there."""
+    """N points, the cells and regions (N,) that they lie in, and irradiance (N, 3) from lights there."""
 
-    points: Points
-    cells: Cells
-    patches: Patches
-    patch: NDArray[np.int32]
-    direct: Direct
-
-    @staticmethod
-    def of(points: Points, cells: Cells, direct: Direct) -> GuidedPlaces:
-        patches, patch = Patches.of(cells.indices(points), len(cells))
-        return GuidedPlaces(points, cells, patches, patch, direct)
-
-    @cached_property
-    def regions(self) -> NDArray[np.int64]:
-        """(N,) region of each point."""
-        return self.patches.regions[self.patch]
+    def __init__(self, points: Points, cells: Cells, direct: NDArray[np.float32]):
+        self.points, self.cells, self.direct = points, cells, direct
+        self._patches, self._patch = Patches.of(cells.indices(points), len(cells))
+        self.regions = self._patches.regions[self._patch]
 
     def transfer(self, seen: Seen, hit: NDArray[np.int64], weight: NDArray[np.float32]) -> Transfer:
         """What rays from the points found, summed over patches, given the cells that they hit."""
-        transport = Transport.of(links_of(seen, hit, weight), self.patches, self.patch)
-        direct = sums_by(self.patch, self.direct.irradiance, len(self.patches))
+        transport = Transport.of(links_of(seen, hit, weight), self._patches, self._patch)
+        direct = sums_by(self._patch, self.direct, len(self._patches))
         # Of each ray, the light that a point gets is pi times that, over the number of the point's rays.
         arriving = (np.pi * len(self.points) / len(seen.point) * weight).astype(np.float32)
         region = self.regions[seen.point]
@@ -170,7 +158,7 @@ class GuidedPlaces:
         rays = Rays(seen.point[shiny].astype(np.int32), seen.square[shiny], arriving[shiny])
         light = direct.astype(np.float32), reflected.astype(np.float32)
         passed = _passed(region, seen.passed, shown.mean(axis=1), count)
-        return Transfer(self.points, self.patch, rays, *light, passed, transport, self.cells.known)
+        return Transfer(self.points, self._patch, rays, *light, passed, transport, self.cells.known)
 
 
 def _passed(
