@@ -6,8 +6,7 @@ is combined by the balance heuristic (Veach and Guibas 1995).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,29 +28,21 @@ _CANDIDATES = 1 << 16
 _TURNED = 0.1
 
 
-@dataclass(frozen=True, eq=False)
 class Guide:
     """Light (R, bins) by direction in R regions: sums of what M rays in even directions brought.
 
     A ray that brought much raises the density of its own direction, which would take weight from it: each ray
     is weighed by what the other rays found, or the sum would be too small.
+
+    What rays brought is in any unit, at least 0. They start in regions, counted from 0, and their directions
+    lie at squares as in `Seen`.
     """
 
-    light: NDArray[np.float64]
-
-    @staticmethod
-    def of(region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]) -> Guide:
-        """The guide by what M rays brought, in any unit, at least 0.
-
-        They start in regions, counted from 0, and their directions lie at squares as in `Seen`.
-        """
+    def __init__(self, region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]):
         regions = int(region.max(initial=-1)) + 1
         sums = np.bincount(region * _BINS + _bins(square), brought, regions * _BINS)
-        return Guide(sums.reshape(regions, _BINS).astype(float))
-
-    @cached_property
-    def _total(self) -> NDArray[np.float64]:
-        return self.light.sum(axis=1)
+        self._light = sums.reshape(regions, _BINS).astype(float)
+        self._total = self._light.sum(axis=1)
 
     def _density(self, light: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
         """Density in the square where a bin has some of the light of its region; even where all is dark."""
@@ -60,7 +51,7 @@ class Guide:
 
     def squares(self, region: NDArray[np.int64], random: np.random.Generator) -> NDArray[np.float32]:
         """Where the directions (M, 2) of guided rays lie, which start in regions (M,)."""
-        density = self._density(self.light, np.broadcast_to(self._total[:, None], self.light.shape))
+        density = self._density(self._light, np.broadcast_to(self._total[:, None], self._light.shape))
         running = np.cumsum(density, axis=1)
         running /= running[:, -1:]
         # All rows in one ascending list: row r lies between r and r + 1.
@@ -83,7 +74,7 @@ class Guide:
         For rays that the guide was learnt from, `brought` (M,) is what each brought.
         """
         own = np.zeros(len(region)) if brought is None else brought.astype(np.float64)
-        light, total = self.light[region, _bins(square)] - own, self._total[region] - own
+        light, total = self._light[region, _bins(square)] - own, self._total[region] - own
         # What rounding leaves of a sum of one ray is no light.
         rest = total > 1e-9 * self._total[region]
         density = self._density(np.where(rest, np.maximum(light, 0), 0), np.where(rest, total, 0))
@@ -182,7 +173,7 @@ def guided_transfer(
     known = places.transfer(even, hit, np.ones(len(hit), dtype=np.float32)).irradiance(most)[-1]
     found = np.where(hit[:, None] >= 0, known[hit] * even.reflectance, 0) + np.pi * even.radiance
     brought, region = found.mean(axis=1), places.regions[even.point]
-    guide = Guide.of(region, even.square, brought)
+    guide = Guide(region, even.square, brought)
     further = gather_seen(
         scene, points, even.point, guide.squares(region, random), int(random.integers(1 << 32))
     )
