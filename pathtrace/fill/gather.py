@@ -57,20 +57,14 @@ class Followed:
     reflectance: Any
 
 
-def surface_at(position: Any, normal: Any) -> Any:
-    """Mitsuba interactions at points with unit normals of the lit side."""
+def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
+    """Mitsuba interactions at some places, given all positions and unit normals of the lit side."""
+    position = dr.gather(mi.Point3f, places[0], index, active)
+    normal = dr.gather(mi.Normal3f, places[1], index, active)
     at = dr.zeros(mi.SurfaceInteraction3f, dr.width(position))
-    at.p, at.n, at.t = position, mi.Normal3f(normal), mi.Float(1)
+    at.p, at.n, at.t = position, normal, mi.Float(1)
     at.sh_frame = mi.Frame3f(at.n)
     return at
-
-
-def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
-    """The same at some places, of which there are all positions and normals."""
-    position, normal = places
-    return surface_at(
-        dr.gather(mi.Point3f, position, index, active), dr.gather(mi.Normal3f, normal, index, active)
-    )
 
 
 def stratified(sampler: Any, lane: Any) -> Any:
@@ -87,7 +81,7 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
 
     Args:
         scene: a Mitsuba scene.
-        at: from `surface_at`; only those that are active count.
+        at: from `surfaces_at`; only those that are active count.
         square: where on the lights, each light with the same chance.
         other: where the other ray's direction lies, cosine-weighted around the normal.
 
