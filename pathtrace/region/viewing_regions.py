@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
-from pathtrace.region.camera_path import PathRegion, read_path
-from pathtrace.region.looks import upright
+from pathtrace.region.camera_path import PathRegion
 from pathtrace.region.neighbourhood import NearRegion
 from pathtrace.region.reachable import ReachableRegion
 from pathtrace.scene.scene import Scene
@@ -58,4 +57,4 @@ def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
     file = Path(given)
     if not file.suffix and not file.exists():
         raise UserError(f"region {given!r}: must be {NEAR}, {REACHABLE} or the file of a camera's path")
-    return PathRegion(scene, surfaces, read_path(file, upright(scene.camera)), str(file))
+    return PathRegion(scene, surfaces, file)
