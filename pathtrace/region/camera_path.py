@@ -104,7 +104,8 @@ class PathRegion(DrawnRegion):
     _nothing = "no view along the path sees more than surfaces right before it"
 
     def __init__(self, scene: Scene, surfaces: Surfaces, file: Path):
-        self._scene, self._surfaces, self.name = scene, surfaces, str(file)
+        self._scene, self._surfaces = scene, surfaces
+        self.name = self._source = str(file)
         self._poses, radius = read_path(file, upright(scene.camera))
         place = scene.place
         self._looks = looks_of([place.camera(scene.camera.at(pose)) for pose in self._poses])
@@ -134,10 +135,6 @@ class PathRegion(DrawnRegion):
         matrices = [opengl_from_opencv(pose).tolist() for pose in self._poses]
         radius = self.radius * self._scene.place.unit
         return {"kind": "path", "radius": radius, "frames": [{"transform_matrix": m} for m in matrices]}
-
-    @property
-    def _source(self) -> str:
-        return self.name
 
     def _first(self, home: Camera) -> Camera:
         return self._looks.camera(0, home)

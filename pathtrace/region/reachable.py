@@ -242,7 +242,7 @@ class ReachableRegion(DrawnRegion):
     _nothing = "nothing can be seen from the space around the scene's own camera"
 
     def __init__(self, scene: Scene, surfaces: Surfaces):
-        self._scene, self._surfaces = scene, surfaces
+        self._scene, self._surfaces, self._source = scene, surfaces, scene.name
         measures = Measures.of(surfaces, scene.camera)
         if measures is None:
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")

@@ -52,7 +52,8 @@ class DrawnRegion(ABC):
     # Side of a patch of surface, and distance of surfaces that are too near to look at.
     _patch: float
     _near: float
-    # What error messages say of all views, and if none shows anything.
+    # What error messages begin with, and say of all views, and if none shows anything.
+    _source: str
     _views: str
     _nothing: str
 
@@ -87,11 +88,6 @@ class DrawnRegion(ABC):
         if len(looks) < count:
             raise UserError(f"{self._source}: only {len(looks)} of {count} views {self._views} show surfaces")
         return [looks.camera(index, home) for index in range(count)]
-
-    @property
-    def _source(self) -> str:
-        """What error messages begin with."""
-        return self._scene.name
 
     def _drawn(self, count: int, like: Camera, for_training: bool, seeds: list[int]) -> Looks:
         """Up to `count` views that show something, and not only from too near; UserError if there are none.
