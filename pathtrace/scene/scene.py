@@ -184,9 +184,8 @@ def load_scene(
     else:
         path = scene_file(source)
         name = path.parent.name if path.stem == "scene" else path.stem
-        description = read_description(path)
-        depth, fingerprint = description.max_depth, description.fingerprint
-        content = Source(str(source), description.text, path.parent)
+        text, fingerprint, depth = read_description(path)
+        content = Source(str(source), text, path.parent)
         beside = path.with_suffix(".motion.json")
         motion = beside if motion is None and beside.is_file() else motion
     moves = None if motion is None else read_motion(motion)

@@ -187,24 +187,12 @@ def text_fingerprint(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class SceneDescription:
+def read_description(path: Path) -> tuple[str, str, int]:
     """A scene's XML without its integrator, the hash of all files, and the path depth that it asks for.
 
-    That is DEFAULT_MAX_DEPTH at most.
-    """
-
-    text: str
-    fingerprint: str
-    max_depth: int
-
-
-def read_description(path: Path) -> SceneDescription:
-    """Reads a scene's XML file and removes its integrator.
-
-    Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
-    author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
-    memory, or would load native code that is not Mitsuba's.
+    That depth is DEFAULT_MAX_DEPTH at most. Radiance always comes from Mitsuba's `path`; scenes found
+    elsewhere may name integrators that only their author has, which Mitsuba would refuse. UserError if the
+    file is not well-formed XML, might take unbounded memory, or would load native code that is not Mitsuba's.
     """
     root = parse_xml(path)
     depth = _max_depth(root)
@@ -214,7 +202,7 @@ def read_description(path: Path) -> SceneDescription:
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(path, root, references)
     balance_xml(root)
-    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth)
+    return ET.tostring(root, encoding="unicode"), fingerprint, depth
 
 
 def _max_depth(root: ET.Element) -> int:

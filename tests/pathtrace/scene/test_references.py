@@ -27,7 +27,7 @@ def scene(folder: Path, content: str, files: dict[str, str]) -> Path:
 
 
 def fingerprint(file: Path) -> str:
-    return read_description(file).fingerprint
+    return read_description(file)[1]
 
 
 PART = '<scene version="3.0.0">{}</scene>'
