@@ -77,28 +77,28 @@ def describe_capture(
     return {
         "camera_model": "OPENCV",
         **_intrinsics(cameras[0]),
-        "format_version": FORMAT_VERSION,
-        "scene": described_scene(scene),
-        "settings": described,
-        "integrator": integrator.value,
-        **described_motion(scene),
+        **described_set(scene, described, integrator.value),
         "frames": frames,
         # Not among the frames, all of which other programs would train on.
         "close_ups": close_ups,
     }
 
 
-def described_scene(scene: Scene) -> dict[str, Any]:
-    """The scene in transforms.json, with coordinates if not the world's, and what is planned for it."""
+def described_set(scene: Scene, settings: dict[str, Any], integrator: str) -> dict[str, Any]:
+    """What transforms.json says of all frames: of the scene, with what moves rigidly, and how it is traced.
+
+    The scene has coordinates if they are not the world's, and what is planned for it, if anything is.
+    """
     place = {} if scene.place == WORLD else asdict(scene.place)
     plan = {"plan": dict(scene.plan)} if scene.plan else {}
-    return {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place, **plan}
-
-
-def described_motion(scene: Scene) -> dict[str, Any]:
-    """What moves rigidly, in transforms.json; nothing of a scene that stands still."""
-    moving = scene.moving
-    return {} if moving is None else {"courses": [course.as_json() for course in moving.courses()]}
+    motion = {} if scene.moving is None else {"courses": [c.as_json() for c in scene.moving.courses()]}
+    return {
+        "format_version": FORMAT_VERSION,
+        "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place, **plan},
+        "settings": settings,
+        "integrator": integrator,
+        **motion,
+    }
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
