@@ -7,6 +7,7 @@ instant-ngp convention, so that other programs can read the file.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -53,12 +54,13 @@ def describe_capture(
     held_out = _held_out(views, settings.held_out)
     # Every third held-out view is kept from fitting the fusion, too.
     fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
+    estimates = _estimate_spp(settings.held_out_spp)
     frames = [
         _entry(
             camera,
             f"frames/{index:04d}",
             settings.held_out_spp if index in held_out else settings.spp,
-            _estimate_spp(settings.held_out_spp) if index in fitted else [],
+            estimates if index in fitted else [],
             index in held_out,
             views.times[index],
         )
@@ -69,11 +71,12 @@ def describe_capture(
         # As captures had them when there were no other views.
         del described["monocular"]
     rng = np.random.default_rng(settings.seed)
-    close_ups = [
-        _close_up(cameras[index], index, factor, settings.held_out_spp, views.times[index], rng)
-        for index in sorted(fitted)
-        for factor in settings.close_ups
-    ]
+    close_ups = []
+    for index, factor in itertools.product(sorted(fitted), settings.close_ups):
+        part, path = _part_of(cameras[index], factor, rng), f"frames/{index:04d}-closer{factor}"
+        entry = _entry(part, path, settings.held_out_spp, estimates, True, views.times[index])
+        # With its own intrinsics.
+        close_ups.append({**entry, **_intrinsics(part)})
     return {
         "camera_model": "OPENCV",
         **_intrinsics(cameras[0]),
@@ -144,15 +147,6 @@ def _entry(
         "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in estimate_spp],
         "halves": [f"{path}-half{number}.exr" for number in (1, 2)] if estimate_spp else [],
     }
-
-
-def _close_up(
-    camera: Camera, index: int, factor: int, spp: int, time: float, rng: np.random.Generator
-) -> dict[str, Any]:
-    """A held-out view's close-up in transforms.json, with its own intrinsics."""
-    part = _part_of(camera, factor, rng)
-    entry = _entry(part, f"frames/{index:04d}-closer{factor}", spp, _estimate_spp(spp), True, time)
-    return {**entry, **_intrinsics(part)}
 
 
 def _estimate_spp(spp: int) -> list[int]:
