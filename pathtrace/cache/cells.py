@@ -150,11 +150,6 @@ class Cells:
         return np.stack(found)
 
 
-def names_of(keys: NDArray[np.uint64]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Two names (N,) in keys of `Grid.keys`, to choose places in a table and to recognize cells there."""
-    return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
-
-
 def _names(
     position: NDArray[np.float32], normal: NDArray[np.float32], level: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
@@ -204,9 +199,11 @@ class Table:
     indices: NDArray[np.uint32]
 
     @staticmethod
-    def of(first: NDArray[np.uint32], second: NDArray[np.uint32]) -> Table:
-        """A table of cells by their two names (C,) each."""
-        size = 1 << max(4, int(np.ceil(np.log2(_ROOM * len(first) + 1))))
+    def of(keys: NDArray[np.uint64]) -> Table:
+        """A table of cells by their keys (C,), as those of `Grid.keys`."""
+        # Of the two names in each, one chooses places in the table, and the other recognizes cells there.
+        first, second = (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
+        size = 1 << max(4, int(np.ceil(np.log2(_ROOM * len(keys) + 1))))
         while True:
             table = Table(np.zeros(size, np.uint32), np.zeros(size, np.uint32))
             if table._holds(first, second):
