@@ -66,10 +66,9 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: exists already; name another folder, or remove it")
-    part = None
+    part = folder.with_name(f"{PART_PREFIX}{secrets.token_hex(8)}")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        part = folder.with_name(f"{PART_PREFIX}{secrets.token_hex(8)}")
         part.mkdir()
         try:
             found = _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
@@ -80,8 +79,7 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({one_line(error)})") from error
     finally:
-        if part is not None:
-            shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
     return found
 
 
