@@ -1160,22 +1160,14 @@ def mirror(reflectance: float) -> str:
     return none + colour("specular_reflectance", reflectance)
 
 
+# Pictures that materials are named after.
+PICTURES = (
+    "floor.jpg", "wallpaper.jpg", "wood.jpg", "rug.jpg", "books.jpg", "fabric.jpg", "stripes.png",
+    "landscape.jpg", "blocks.png", "rings.jpg", "eye_chart.png", "clock.png", "page.png", "globe.jpg",
+    "outdoors.jpg",
+)  # fmt: skip
 DIFFUSE: dict[str, float | Point | str] = {
-    "floor": "floor.jpg",
-    "wallpaper": "wallpaper.jpg",
-    "wood": "wood.jpg",
-    "rug": "rug.jpg",
-    "books": "books.jpg",
-    "fabric": "fabric.jpg",
-    "stripes": "stripes.png",
-    "landscape": "landscape.jpg",
-    "blocks": "blocks.png",
-    "rings": "rings.jpg",
-    "eye_chart": "eye_chart.png",
-    "clock": "clock.png",
-    "page": "page.png",
-    "globe": "globe.jpg",
-    "outdoors": "outdoors.jpg",
+    **{Path(file).stem: file for file in PICTURES},
     "plaster": 0.82,
     "white_paint": (0.78, 0.77, 0.74),
     "door_paint": (0.34, 0.46, 0.46),
