@@ -272,15 +272,11 @@ def to_image(array: np.ndarray) -> Image.Image:
     return Image.fromarray(np.clip(array, 0, 255).astype(np.uint8), "RGB")
 
 
-def font(size: float) -> ImageFont.FreeTypeFont:
-    """The scalable font that comes with Pillow."""
-    return ImageFont.load_default(size)
-
-
 def centred(draw: ImageDraw.ImageDraw, at: Point, text: str, size: float, ink: Colour) -> None:
     """Draw ``text`` in bold with its middle ``at`` a point."""
     bold = max(1, round(size / 40))
-    draw.text(tuple(at), text, ink, font(size), "mm", stroke_width=bold, stroke_fill=ink)
+    font = ImageFont.load_default(size)
+    draw.text(tuple(at), text, ink, font, "mm", stroke_width=bold, stroke_fill=ink)
 
 
 def floor_picture(rng: np.random.Generator) -> Image.Image:
@@ -410,7 +406,7 @@ def book_spine(height: int, width: int, cover: Colour, ink: Colour, title: str, 
     if style == 1:
         draw.rectangle([34, 5, 186, width - 6], outline=ink, width=2)
     size = 26.0
-    while font(size).getlength(title) > 146:
+    while ImageFont.load_default(size).getlength(title) > 146:
         size -= 1
     centred(draw, (112, width / 2 - 1), title, size, ink)
     draw.rectangle([height - 12, 0, height, width], fill=(226, 216, 192))
