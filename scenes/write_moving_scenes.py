@@ -31,6 +31,7 @@ from write_scenes import (
     merge,
     metal,
     plastic,
+    ply_shape,
     room_bsdfs,
     room_lights,
     room_shapes,
@@ -110,20 +111,11 @@ def write_room_moving(folder: Path) -> int:
         + bsdf("vane", "roughplastic", plastic((0.62, 0.12, 0.05), 0.15))
         + bsdf("polished", "roughconductor", metal((0.444, 0.527, 1.094), (3.695, 2.765, 1.829), 0.08))
     )
-    still = "".join(still_shape(name, material) for name, (_, material) in room_shapes().items())
+    still = "".join(ply_shape(name, material, "../room/") for name, (_, material) in room_shapes().items())
     still = (room_bsdfs() + still).replace('value="textures/', 'value="../room/textures/')
     text = head(512, 6, 60, (CAMERA, TARGET, (0, 0, 1))) + still + bsdfs + movers + room_lights()
     write_scene(folder, "room-moving", text, room_motion())
     return triangles
-
-
-def still_shape(name: str, material: str) -> str:
-    """A shape of ``room``, from its files."""
-    return (
-        f'\t<shape type="ply" id="{name}_shape">\n'
-        f'\t\t<string name="filename" value="../room/meshes/{name}.ply" />\n'
-        f'\t\t<ref id="{material}" />\n\t</shape>\n'
-    )
 
 
 def sheet() -> Mesh:

@@ -1215,12 +1215,17 @@ def write_shapes(folder: Path, shapes: Shapes) -> tuple[str, int]:
     text, triangles = "", 0
     for name, (mesh, material) in shapes.items():
         triangles += write_ply(folder / "meshes" / f"{name}.ply", mesh)
-        text += (
-            f'\t<shape type="ply" id="{name}_shape">\n'
-            f'\t\t<string name="filename" value="meshes/{name}.ply" />\n'
-            f'\t\t<ref id="{material}" />\n\t</shape>\n'
-        )
+        text += ply_shape(name, material)
     return text, triangles
+
+
+def ply_shape(name: str, material: str, folder: str = "") -> str:
+    """A mesh in a scene's folder, or in another one."""
+    return (
+        f'\t<shape type="ply" id="{name}_shape">\n'
+        f'\t\t<string name="filename" value="{folder}meshes/{name}.ply" />\n'
+        f'\t\t<ref id="{material}" />\n\t</shape>\n'
+    )
 
 
 def write_textures(folder: Path, pictures: dict[str, Image.Image]) -> None:
