@@ -10,7 +10,6 @@ moves, and how, is in the motion file beside each scene:
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,14 @@ from write_scenes import (
     CAMERA,
     HERE,
     TARGET,
+    Builtin,
     Mesh,
     Point,
     Shapes,
     box,
     bsdf,
+    builtin_shapes,
     colour,
-    cornell_shape,
     grid,
     head,
     merge,
@@ -144,7 +144,7 @@ def cloth_motion() -> dict[str, Any]:
     }
 
 
-CLOTH_STILL: dict[str, tuple[str, str, Sequence[str]]] = {
+CLOTH_STILL: dict[str, Builtin] = {
     # name: (kind, material, transform)
     "floor": ("rectangle", "grey", ("scale 2.5 2.5 1",)),
     "back": ("rectangle", "ochre", ("scale 2.5 1.25 1", "rotate x 90", "translate 0 1.4 1.25")),
@@ -178,21 +178,17 @@ def write_cloth(folder: Path) -> int:
     text = head(512, 6, 50, ((1.5, -3.1, 1.7), (-0.05, 0.1, 0.85), (0, 0, 1)))
     text += "".join(bsdf(name, "diffuse", colour("reflectance", value)) for name, value in colours.items())
     text += bsdf("glaze", "roughplastic", plastic((0.1, 0.16, 0.5), 0.1))
-    text += "".join(
-        cornell_shape(kind, name, material, steps) for name, (kind, material, steps) in CLOTH_STILL.items()
-    )
+    text += builtin_shapes(CLOTH_STILL)
     shapes, triangles = write_shapes(folder, {"sheet": (sheet(), "linen")})
     light = '\t\t<emitter type="area">\n\t\t\t<rgb name="radiance" value="16, 15, 13" />\n\t\t</emitter>\n'
-    text += shapes + cornell_shape("rectangle", "light", "white", LIGHT, light)
+    steps = ("scale 0.5 0.35 1", "rotate x 155", "translate 0.6 -1.3 2.9")
+    text += shapes + builtin_shapes({"light": ("rectangle", "white", steps)}, light)
     sky = (
         '\t<emitter type="constant" id="sky">\n'
         '\t\t<rgb name="radiance" value="0.25, 0.3, 0.38" />\n\t</emitter>\n'
     )
     write_scene(folder, "cloth", text + sky, cloth_motion())
     return triangles
-
-
-LIGHT = ("scale 0.5 0.35 1", "rotate x 155", "translate 0.6 -1.3 2.9")
 
 
 def write_scene(folder: Path, name: str, text: str, motion: dict[str, Any]) -> None:

@@ -1246,17 +1246,16 @@ def write_room(folder: Path) -> int:
     return triangles
 
 
-CORNELL_WALLS = {
-    # name: (colour, transform of the rectangle -1..1 that faces +z)
-    "floor": ("white", ("rotate x -90", "translate 0 -1 0")),
-    "ceiling": ("white", ("rotate x 90", "translate 0 1 0")),
-    "back": ("white", ("translate 0 0 -1",)),
-    "left": ("red", ("rotate y 90", "translate -1 0 0")),
-    "right": ("green", ("rotate y -90", "translate 1 0 0")),
-}
-CORNELL_BOXES = {
-    "tall_box": ("white", ("scale 0.3 0.6 0.3", "rotate y 17", "translate -0.34 -0.4 -0.3")),
-    "small_box": ("satin", ("scale 0.3 0.3 0.3", "rotate y -17", "translate 0.35 -0.7 0.36")),
+Builtin = tuple[str, str, Sequence[str]]
+CORNELL: dict[str, Builtin] = {
+    # name: (kind, material, transform); a rectangle is one of -1..1 that faces +z
+    "floor": ("rectangle", "white", ("rotate x -90", "translate 0 -1 0")),
+    "ceiling": ("rectangle", "white", ("rotate x 90", "translate 0 1 0")),
+    "back": ("rectangle", "white", ("translate 0 0 -1",)),
+    "left": ("rectangle", "red", ("rotate y 90", "translate -1 0 0")),
+    "right": ("rectangle", "green", ("rotate y -90", "translate 1 0 0")),
+    "tall_box": ("cube", "white", ("scale 0.3 0.6 0.3", "rotate y 17", "translate -0.34 -0.4 -0.3")),
+    "small_box": ("cube", "satin", ("scale 0.3 0.3 0.3", "rotate y -17", "translate 0.35 -0.7 0.36")),
 }
 
 
@@ -1273,10 +1272,13 @@ def transform(steps: Sequence[str]) -> str:
     return f'\t\t<transform name="to_world">\n{body}\t\t</transform>\n'
 
 
-def cornell_shape(kind: str, name: str, material: str, steps: Sequence[str], more: str = "") -> str:
-    """One builtin shape of the Cornell box."""
-    ref = f'\t\t<ref id="{material}" />\n'
-    return f'\t<shape type="{kind}" id="{name}">\n{transform(steps)}{ref}{more}\t</shape>\n'
+def builtin_shapes(shapes: dict[str, Builtin], more: str = "") -> str:
+    """Builtin shapes of Mitsuba, each with more inside."""
+    return "".join(
+        f'\t<shape type="{kind}" id="{name}">\n{transform(steps)}'
+        f'\t\t<ref id="{material}" />\n{more}\t</shape>\n'
+        for name, (kind, material, steps) in shapes.items()
+    )
 
 
 def write_cornell(folder: Path) -> None:
@@ -1286,13 +1288,10 @@ def write_cornell(folder: Path) -> None:
     text = head(256, 6, 38, ((0, 0, 3.9), (0, 0, 0), (0, 1, 0)))
     text += "".join(bsdf(n, "diffuse", colour("reflectance", c)) for n, c in colours.items())
     text += bsdf("satin", "roughplastic", plastic((0.62, 0.64, 0.70), 0.2))
-    for name, (material, steps) in CORNELL_WALLS.items():
-        text += cornell_shape("rectangle", name, material, steps)
-    for name, (material, steps) in CORNELL_BOXES.items():
-        text += cornell_shape("cube", name, material, steps)
+    text += builtin_shapes(CORNELL)
     light = '\t\t<emitter type="area">\n\t\t\t<rgb name="radiance" value="30, 26, 18" />\n\t\t</emitter>\n'
     steps = ("scale 0.23 0.19 1", "rotate x 90", "translate 0 0.99 0.01")
-    text += cornell_shape("rectangle", "light", "white", steps, light)
+    text += builtin_shapes({"light": ("rectangle", "white", steps)}, light)
     (folder / "cornell.xml").write_text(text + "</scene>\n", encoding="utf-8")
 
 
