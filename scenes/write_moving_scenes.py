@@ -21,7 +21,6 @@ from write_scenes import (
     Builtin,
     Mesh,
     Point,
-    Shapes,
     box,
     bsdf,
     builtin_shapes,
@@ -65,15 +64,6 @@ def pinwheel(at: Point) -> Mesh:
     return merge([*blades, sphere([0, 0, 0], 0.04, 16)]).moved(at)
 
 
-def room_movers() -> Shapes:
-    """What moves in the room, where it is at rest."""
-    return {
-        "glider": (glider(), "paper"),
-        "ball": (sphere(BALL_START, BALL_RADIUS, 40), "polished"),
-        "pinwheel": (pinwheel(PINWHEEL), "vane"),
-    }
-
-
 def room_motion() -> dict[str, Any]:
     """The glider crosses below the lamp in a curve, the ball rolls there and back, the wheel turns twice."""
     rolled = float(np.degrees(BALL_WAY / BALL_RADIUS))
@@ -105,7 +95,13 @@ def room_motion() -> dict[str, Any]:
 def write_room_moving(folder: Path) -> int:
     """Write the room, with the files of ``room`` for what is still; the number of triangles that move."""
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
-    movers, triangles = write_shapes(folder, room_movers())
+    # What moves, where it is at rest.
+    shapes = {
+        "glider": (glider(), "paper"),
+        "ball": (sphere(BALL_START, BALL_RADIUS, 40), "polished"),
+        "pinwheel": (pinwheel(PINWHEEL), "vane"),
+    }
+    movers, triangles = write_shapes(folder, shapes)
     bsdfs = (
         bsdf("paper", "diffuse", colour("reflectance", (0.82, 0.78, 0.66)))
         + bsdf("vane", "roughplastic", plastic((0.62, 0.12, 0.05), 0.15))
