@@ -9,6 +9,7 @@ moves, and how, is in the motion file beside each scene:
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -45,14 +46,11 @@ SHEET_TOP, SHEET_HEIGHT, SHEET_WIDTH = 1.75, 1.15, 1.6
 
 def glider() -> Mesh:
     """A paper glider that flies along +x, nose at the origin."""
-    nose, left, right, keel = [0, 0, 0], [-0.34, 0.17, 0.03], [-0.34, -0.17, 0.03], [-0.34, 0, -0.06]
-    inner = [[-0.34, 0.02, 0.03], [-0.34, -0.02, 0.03]]
-    triangles = [
-        [nose, left, inner[0]],
-        [nose, inner[0], keel],
-        [nose, keel, inner[1]],
-        [nose, inner[1], right],
+    # Behind: wings with an inner edge, and a keel between them.
+    behind = [
+        (-0.34, y, z) for y, z in ((0.17, 0.03), (0.02, 0.03), (0, -0.06), (-0.02, 0.03), (-0.17, 0.03))
     ]
+    triangles = [[(0, 0, 0), a, b] for a, b in itertools.pairwise(behind)]
     points = np.array(triangles, dtype=float).reshape(-1, 3)
     return Mesh(points, points[:, :2], np.arange(len(points)).reshape(-1, 3))
 
