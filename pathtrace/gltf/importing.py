@@ -26,11 +26,11 @@ from pathtrace.gltf.materials import Materials, Textures, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
 from pathtrace.gltf.movement import (
     Movement,
+    Times,
     as_json,
     keyframes_of,
     movement_of,
     require_few,
-    times_of,
     without_scale,
 )
 
@@ -90,7 +90,7 @@ class _Import:
         self._document, self._folder = document, folder
         self._remarks: list[str] = []
         self._nodes = Nodes(document, chosen_animation(document, animation, self._remarks))
-        self._times = times_of(self._nodes, fps)
+        self._times = Times(self._nodes, fps)
         self._to_world = self._nodes.to_world(self._times.dense)
         self._materials = Materials(document, Textures(document, folder), self._remarks)
         self._names = {"camera", "surroundings"}
