@@ -263,8 +263,7 @@ def save_ply(path: Path, names: Sequence[str], vertices: np.ndarray, triangles: 
 def noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> np.ndarray:
     """Smooth noise of about -1..1 in a (height, width) array, ``cells`` features each way."""
     coarse = rng.uniform(-1, 1, (cells[1], cells[0])).astype(np.float32)
-    picture = Image.fromarray(coarse, mode=None).resize(size, Image.Resampling.BICUBIC)
-    return np.asarray(picture)
+    return np.asarray(Image.fromarray(coarse, mode=None).resize(size, Image.Resampling.BICUBIC))
 
 
 def to_image(array: np.ndarray) -> Image.Image:
@@ -727,9 +726,8 @@ def table() -> Shapes:
     """A table with four turned legs, and the rug below it."""
     x0, x1, y0, y1 = 2.70, 3.80, 1.65, 2.45
     top = rounded_box([x0, y0, 0.715], [x1, y1, 0.75], 0.014, 1, 0).mapped(0.7)
-    apron = [box([x0 + 0.08, y, 0.62], [x1 - 0.08, y + 0.02, 0.715]) for y in (y0 + 0.07, y1 - 0.09)] + [
-        box([x, y0 + 0.08, 0.62], [x + 0.02, y1 - 0.08, 0.715]) for x in (x0 + 0.07, x1 - 0.09)
-    ]
+    apron = [box([x0 + 0.08, y, 0.62], [x1 - 0.08, y + 0.02, 0.715]) for y in (y0 + 0.07, y1 - 0.09)]
+    apron += [box([x, y0 + 0.08, 0.62], [x + 0.02, y1 - 0.08, 0.715]) for x in (x0 + 0.07, x1 - 0.09)]
     leg = turned_leg(LEG, 17, 11)
     places = [(x, y) for x in (x0 + 0.08, x1 - 0.08) for y in (y0 + 0.08, y1 - 0.08)]
     legs = [leg.moved([x, y, 0.012]) for x, y in places]
@@ -877,10 +875,9 @@ def sideboard() -> Shapes:
     """A lacquered sideboard with brass knobs; a vase and a chrome ball stand on it."""
     x0, x1, y0, y1 = 4.55, 4.98, 0.72, 1.98
     body = [rounded_box([x0, y0, 0.12], [x1, y1, 0.72], 0.012, 1, 0)]
-    doors = []
     for k in range(3):
         left = y0 + 0.03 + k * 0.402
-        doors.append(rounded_box([x0 - 0.018, left, 0.16], [x0, left + 0.39, 0.68], 0.008, 1, 0))
+        body.append(rounded_box([x0 - 0.018, left, 0.16], [x0, left + 0.39, 0.68], 0.008, 1, 0))
     top = rounded_box([x0 - 0.03, y0 - 0.02, 0.72], [x1, y1 + 0.02, 0.75], 0.01, 1, 0).mapped(0.7)
     knobs = [sphere([x0 - 0.03, y0 + 0.36 + k * 0.402, 0.45], 0.018, 8) for k in range(3)]
     post = turned_leg([(0.015, 0.0), (0.028, 0.06), (0.024, 0.12)], 3, 8)
@@ -890,7 +887,7 @@ def sideboard() -> Shapes:
     vase = revolve(np.concatenate([[[0, 0]], curve, curve[-1:] - [0.006, 0]]), 26)
     vase.uvs[:, 1] = 1 - vase.points[:, 2] / 0.40
     return {
-        "sideboard": (merge(body + doors), "lacquer"),
+        "sideboard": (merge(body), "lacquer"),
         "sideboard_top": (top, "lacquered_wood"),
         "sideboard_knobs": (merge(knobs), "brass"),
         "sideboard_feet": (merge(feet), "wood"),
@@ -993,11 +990,8 @@ def frame(corner: np.ndarray, across: np.ndarray, up: np.ndarray, out: np.ndarra
         (o - wide * a, wide * a + h * u),
         (o + w * a, wide * a + h * u),
     ]
-    meshes = []
-    for start, extent in bars:
-        end = start + extent + 0.025 * out
-        meshes.append(box(np.minimum(start, end), np.maximum(start, end)))
-    return merge(meshes)
+    ends = [(start, start + extent + 0.025 * out) for start, extent in bars]
+    return merge(box(np.minimum(*pair), np.maximum(*pair)) for pair in ends)
 
 
 def plant(rng: np.random.Generator) -> Shapes:
@@ -1442,9 +1436,8 @@ def ground_picture(
     for count in cells:
         coarse = rng.uniform(-1, 1, (count, count)).astype(np.float32)
         repeated = Image.fromarray(np.tile(coarse, (3, 3)), mode=None)
-        total += np.asarray(repeated.resize((3 * size,) * 2, Image.Resampling.BICUBIC))[
-            size:-size, size:-size
-        ]
+        smooth = repeated.resize((3 * size,) * 2, Image.Resampling.BICUBIC)
+        total += np.asarray(smooth)[size:-size, size:-size]
     tint = np.array([0.9, 1.0, 0.7]) if tone[1] > tone[0] else np.ones(3)
     return to_image(np.array(tone) * (1 + spread * total[..., None] / len(cells) ** 0.5 * tint))
 
@@ -1500,10 +1493,8 @@ def sky_radiance(rng: np.random.Generator, width: int = 512) -> np.ndarray:
     glow = 0.35 * np.exp(-(1 - toward) / 0.02)[..., None] * np.array([1.0, 0.9, 0.7])
     lit = 0.8 + 0.25 * np.clip(toward, 0, 1)[..., None]
     sky = (1 - cover) * sky + cover * lit * np.array([1.0, 0.99, 0.97]) + glow
-    column, line = (
-        SUN_AZIMUTH % (2 * math.pi) / (2 * math.pi) * width,
-        (0.5 - SUN_ELEVATION / math.pi) * width / 2,
-    )
+    column = SUN_AZIMUTH % (2 * math.pi) / (2 * math.pi) * width
+    line = (0.5 - SUN_ELEVATION / math.pi) * width / 2
     rows, columns = np.s_[round(line) - 1 : round(line) + 1], np.s_[round(column) - 1 : round(column) + 1]
     # Four texels give the irradiance of the sun.
     solid_angle = 4 * (2 * math.pi / width) ** 2 * math.cos(SUN_ELEVATION)
