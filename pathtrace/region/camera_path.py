@@ -116,7 +116,16 @@ class PathRegion(DrawnRegion):
         self._patch, self._near = _PATCH * self._scale, _NEAR * self._scale
         self.radius = _RADIUS * self._scale if radius is None else radius / place.unit
         self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)
-        self._check_free()
+        stops = self._looks.positions
+        tight = np.flatnonzero(surfaces.clearances(stops) < 0.1 * self._least)
+        blocked = 1 + np.flatnonzero(~surfaces.are_joined(stops[:-1], stops[1:]))
+        if len(tight) and not (len(blocked) and blocked[0] < tight[0]):
+            raise UserError(f"{file}: frames[{tight[0]}] lies on a surface; must be in free space")
+        if len(blocked):
+            raise UserError(
+                f"{file}: the path leaves the free space: a surface lies between "
+                f"frames[{blocked[0] - 1}] and frames[{blocked[0]}]"
+            )
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """(N,) whether points (N, 3) lie within the radius, and nothing between them and the path."""
@@ -183,15 +192,3 @@ class PathRegion(DrawnRegion):
         """Whether points (N, 3) are seen from places (N, 3) and not on a surface."""
         clearance = self._surfaces.clearances(points)
         return self._surfaces.are_joined(places, points) & (clearance >= self._least)
-
-    def _check_free(self) -> None:
-        stops = self._looks.positions
-        tight = np.flatnonzero(self._surfaces.clearances(stops) < 0.1 * self._least)
-        blocked = 1 + np.flatnonzero(~self._surfaces.are_joined(stops[:-1], stops[1:]))
-        if len(tight) and not (len(blocked) and blocked[0] < tight[0]):
-            raise UserError(f"{self.name}: frames[{tight[0]}] lies on a surface; must be in free space")
-        if len(blocked):
-            raise UserError(
-                f"{self.name}: the path leaves the free space: a surface lies between "
-                f"frames[{blocked[0] - 1}] and frames[{blocked[0]}]"
-            )
