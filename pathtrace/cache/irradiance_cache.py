@@ -63,7 +63,7 @@ class IrradianceCache:
 
     @cached_property
     def _table(self) -> Table:
-        return Table.of(np.concatenate(self.cells.keys))
+        return Table(np.concatenate(self.cells.keys))
 
     def arrays(self, scene: Any) -> CacheArrays:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""

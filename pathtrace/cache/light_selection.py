@@ -100,11 +100,10 @@ class LightChoice:
 
         These are grid, table, rows, light numbers, chances, and running sums.
         """
-        table = Table.of(self.keys)
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
         numbers = mi.UInt32(light_numbers(scene))
-        return self.grid.arrays, table.arrays, rows, numbers, *self.chance_arrays()
+        return self.grid.arrays, Table(self.keys).arrays, rows, numbers, *self.chance_arrays()
 
     def chance_arrays(self) -> tuple[Any, Any]:
         """The last two of `arrays`: all that changes while a choice is learnt."""

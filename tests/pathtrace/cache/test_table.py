@@ -20,7 +20,7 @@ def names(count: int, firsts: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def table_of(first: np.ndarray, second: np.ndarray) -> Table:
-    return Table.of(first.astype(np.uint64) << np.uint64(32) | second)
+    return Table(first.astype(np.uint64) << np.uint64(32) | second)
 
 
 @pytest.mark.parametrize(("count", "firsts"), [(1, 1), (4, 1), (1000, 1 << 20), (3000, 8000)])
