@@ -54,12 +54,14 @@ def describe_capture(
     held_out = _held_out(views, settings.held_out)
     # Every third held-out view is kept from fitting the fusion, too.
     fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
-    estimates = _estimate_spp(settings.held_out_spp)
+    spp = settings.held_out_spp
+    # Samples per pixel of a view's estimates, in all at most half of the view's own.
+    estimates = [n for i, n in enumerate(_ESTIMATE_SPP) if 2 * sum(_ESTIMATE_SPP[: i + 1]) <= spp]
     frames = [
         _entry(
             camera,
             f"frames/{index:04d}",
-            settings.held_out_spp if index in held_out else settings.spp,
+            spp if index in held_out else settings.spp,
             estimates if index in fitted else [],
             index in held_out,
             views.times[index],
@@ -74,7 +76,7 @@ def describe_capture(
     close_ups = []
     for index, factor in itertools.product(sorted(fitted), settings.close_ups):
         part, path = _part_of(cameras[index], factor, rng), f"frames/{index:04d}-closer{factor}"
-        entry = _entry(part, path, settings.held_out_spp, estimates, True, views.times[index])
+        entry = _entry(part, path, spp, estimates, True, views.times[index])
         # With its own intrinsics.
         close_ups.append({**entry, **_intrinsics(part)})
     return {
@@ -147,11 +149,6 @@ def _entry(
         "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in estimate_spp],
         "halves": [f"{path}-half{number}.exr" for number in (1, 2)] if estimate_spp else [],
     }
-
-
-def _estimate_spp(spp: int) -> list[int]:
-    """Samples per pixel of a view's estimates, in all at most half of the view's own."""
-    return [count for i, count in enumerate(_ESTIMATE_SPP) if 2 * sum(_ESTIMATE_SPP[: i + 1]) <= spp]
 
 
 def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:
