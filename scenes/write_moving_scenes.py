@@ -9,8 +9,8 @@ moves, and how, is in the motion file beside each scene:
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +19,19 @@ from write_scenes import (
     CAMERA,
     HERE,
     TARGET,
+    Builtin,
     Mesh,
     Point,
-    Shapes,
     box,
     bsdf,
+    builtin_shapes,
     colour,
-    cornell_shape,
     grid,
     head,
     merge,
     metal,
     plastic,
+    ply_shape,
     room_bsdfs,
     room_lights,
     room_shapes,
@@ -45,14 +46,11 @@ SHEET_TOP, SHEET_HEIGHT, SHEET_WIDTH = 1.75, 1.15, 1.6
 
 def glider() -> Mesh:
     """A paper glider that flies along +x, nose at the origin."""
-    nose, left, right, keel = [0, 0, 0], [-0.34, 0.17, 0.03], [-0.34, -0.17, 0.03], [-0.34, 0, -0.06]
-    inner = [[-0.34, 0.02, 0.03], [-0.34, -0.02, 0.03]]
-    triangles = [
-        [nose, left, inner[0]],
-        [nose, inner[0], keel],
-        [nose, keel, inner[1]],
-        [nose, inner[1], right],
+    # Behind: wings with an inner edge, and a keel between them.
+    behind = [
+        (-0.34, y, z) for y, z in ((0.17, 0.03), (0.02, 0.03), (0, -0.06), (-0.02, 0.03), (-0.17, 0.03))
     ]
+    triangles = [[(0, 0, 0), a, b] for a, b in itertools.pairwise(behind)]
     points = np.array(triangles, dtype=float).reshape(-1, 3)
     return Mesh(points, points[:, :2], np.arange(len(points)).reshape(-1, 3))
 
@@ -62,15 +60,6 @@ def pinwheel(at: Point) -> Mesh:
     blade = box([-0.006, 0.03, -0.05], [0.006, 0.3, 0.05]).turned(25, "y")
     blades = [blade.turned(90 * quarter, "x") for quarter in range(4)]
     return merge([*blades, sphere([0, 0, 0], 0.04, 16)]).moved(at)
-
-
-def room_movers() -> Shapes:
-    """What moves in the room, where it is at rest."""
-    return {
-        "glider": (glider(), "paper"),
-        "ball": (sphere(BALL_START, BALL_RADIUS, 40), "polished"),
-        "pinwheel": (pinwheel(PINWHEEL), "vane"),
-    }
 
 
 def room_motion() -> dict[str, Any]:
@@ -104,26 +93,23 @@ def room_motion() -> dict[str, Any]:
 def write_room_moving(folder: Path) -> int:
     """Write the room, with the files of ``room`` for what is still; the number of triangles that move."""
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
-    movers, triangles = write_shapes(folder, room_movers())
+    # What moves, where it is at rest.
+    shapes = {
+        "glider": (glider(), "paper"),
+        "ball": (sphere(BALL_START, BALL_RADIUS, 40), "polished"),
+        "pinwheel": (pinwheel(PINWHEEL), "vane"),
+    }
+    movers, triangles = write_shapes(folder, shapes)
     bsdfs = (
         bsdf("paper", "diffuse", colour("reflectance", (0.82, 0.78, 0.66)))
         + bsdf("vane", "roughplastic", plastic((0.62, 0.12, 0.05), 0.15))
         + bsdf("polished", "roughconductor", metal((0.444, 0.527, 1.094), (3.695, 2.765, 1.829), 0.08))
     )
-    still = "".join(still_shape(name, material) for name, (_, material) in room_shapes().items())
+    still = "".join(ply_shape(name, material, "../room/") for name, (_, material) in room_shapes().items())
     still = (room_bsdfs() + still).replace('value="textures/', 'value="../room/textures/')
     text = head(512, 6, 60, (CAMERA, TARGET, (0, 0, 1))) + still + bsdfs + movers + room_lights()
     write_scene(folder, "room-moving", text, room_motion())
     return triangles
-
-
-def still_shape(name: str, material: str) -> str:
-    """A shape of ``room``, from its files."""
-    return (
-        f'\t<shape type="ply" id="{name}_shape">\n'
-        f'\t\t<string name="filename" value="../room/meshes/{name}.ply" />\n'
-        f'\t\t<ref id="{material}" />\n\t</shape>\n'
-    )
 
 
 def sheet() -> Mesh:
@@ -152,7 +138,7 @@ def cloth_motion() -> dict[str, Any]:
     }
 
 
-CLOTH_STILL: dict[str, tuple[str, str, Sequence[str]]] = {
+CLOTH_STILL: dict[str, Builtin] = {
     # name: (kind, material, transform)
     "floor": ("rectangle", "grey", ("scale 2.5 2.5 1",)),
     "back": ("rectangle", "ochre", ("scale 2.5 1.25 1", "rotate x 90", "translate 0 1.4 1.25")),
@@ -186,21 +172,17 @@ def write_cloth(folder: Path) -> int:
     text = head(512, 6, 50, ((1.5, -3.1, 1.7), (-0.05, 0.1, 0.85), (0, 0, 1)))
     text += "".join(bsdf(name, "diffuse", colour("reflectance", value)) for name, value in colours.items())
     text += bsdf("glaze", "roughplastic", plastic((0.1, 0.16, 0.5), 0.1))
-    text += "".join(
-        cornell_shape(kind, name, material, steps) for name, (kind, material, steps) in CLOTH_STILL.items()
-    )
+    text += builtin_shapes(CLOTH_STILL)
     shapes, triangles = write_shapes(folder, {"sheet": (sheet(), "linen")})
     light = '\t\t<emitter type="area">\n\t\t\t<rgb name="radiance" value="16, 15, 13" />\n\t\t</emitter>\n'
-    text += shapes + cornell_shape("rectangle", "light", "white", LIGHT, light)
+    steps = ("scale 0.5 0.35 1", "rotate x 155", "translate 0.6 -1.3 2.9")
+    text += shapes + builtin_shapes({"light": ("rectangle", "white", steps)}, light)
     sky = (
         '\t<emitter type="constant" id="sky">\n'
         '\t\t<rgb name="radiance" value="0.25, 0.3, 0.38" />\n\t</emitter>\n'
     )
     write_scene(folder, "cloth", text + sky, cloth_motion())
     return triangles
-
-
-LIGHT = ("scale 0.5 0.35 1", "rotate x 155", "translate 0.6 -1.3 2.9")
 
 
 def write_scene(folder: Path, name: str, text: str, motion: dict[str, Any]) -> None:

@@ -263,8 +263,7 @@ def save_ply(path: Path, names: Sequence[str], vertices: np.ndarray, triangles: 
 def noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> np.ndarray:
     """Smooth noise of about -1..1 in a (height, width) array, ``cells`` features each way."""
     coarse = rng.uniform(-1, 1, (cells[1], cells[0])).astype(np.float32)
-    picture = Image.fromarray(coarse, mode=None).resize(size, Image.Resampling.BICUBIC)
-    return np.asarray(picture)
+    return np.asarray(Image.fromarray(coarse, mode=None).resize(size, Image.Resampling.BICUBIC))
 
 
 def to_image(array: np.ndarray) -> Image.Image:
@@ -272,15 +271,11 @@ def to_image(array: np.ndarray) -> Image.Image:
     return Image.fromarray(np.clip(array, 0, 255).astype(np.uint8), "RGB")
 
 
-def font(size: float) -> ImageFont.FreeTypeFont:
-    """The scalable font that comes with Pillow."""
-    return ImageFont.load_default(size)
-
-
 def centred(draw: ImageDraw.ImageDraw, at: Point, text: str, size: float, ink: Colour) -> None:
     """Draw ``text`` in bold with its middle ``at`` a point."""
     bold = max(1, round(size / 40))
-    draw.text(tuple(at), text, ink, font(size), "mm", stroke_width=bold, stroke_fill=ink)
+    font = ImageFont.load_default(size)
+    draw.text(tuple(at), text, ink, font, "mm", stroke_width=bold, stroke_fill=ink)
 
 
 def floor_picture(rng: np.random.Generator) -> Image.Image:
@@ -410,7 +405,7 @@ def book_spine(height: int, width: int, cover: Colour, ink: Colour, title: str, 
     if style == 1:
         draw.rectangle([34, 5, 186, width - 6], outline=ink, width=2)
     size = 26.0
-    while font(size).getlength(title) > 146:
+    while ImageFont.load_default(size).getlength(title) > 146:
         size -= 1
     centred(draw, (112, width / 2 - 1), title, size, ink)
     draw.rectangle([height - 12, 0, height, width], fill=(226, 216, 192))
@@ -731,9 +726,8 @@ def table() -> Shapes:
     """A table with four turned legs, and the rug below it."""
     x0, x1, y0, y1 = 2.70, 3.80, 1.65, 2.45
     top = rounded_box([x0, y0, 0.715], [x1, y1, 0.75], 0.014, 1, 0).mapped(0.7)
-    apron = [box([x0 + 0.08, y, 0.62], [x1 - 0.08, y + 0.02, 0.715]) for y in (y0 + 0.07, y1 - 0.09)] + [
-        box([x, y0 + 0.08, 0.62], [x + 0.02, y1 - 0.08, 0.715]) for x in (x0 + 0.07, x1 - 0.09)
-    ]
+    apron = [box([x0 + 0.08, y, 0.62], [x1 - 0.08, y + 0.02, 0.715]) for y in (y0 + 0.07, y1 - 0.09)]
+    apron += [box([x, y0 + 0.08, 0.62], [x + 0.02, y1 - 0.08, 0.715]) for x in (x0 + 0.07, x1 - 0.09)]
     leg = turned_leg(LEG, 17, 11)
     places = [(x, y) for x in (x0 + 0.08, x1 - 0.08) for y in (y0 + 0.08, y1 - 0.08)]
     legs = [leg.moved([x, y, 0.012]) for x, y in places]
@@ -881,10 +875,9 @@ def sideboard() -> Shapes:
     """A lacquered sideboard with brass knobs; a vase and a chrome ball stand on it."""
     x0, x1, y0, y1 = 4.55, 4.98, 0.72, 1.98
     body = [rounded_box([x0, y0, 0.12], [x1, y1, 0.72], 0.012, 1, 0)]
-    doors = []
     for k in range(3):
         left = y0 + 0.03 + k * 0.402
-        doors.append(rounded_box([x0 - 0.018, left, 0.16], [x0, left + 0.39, 0.68], 0.008, 1, 0))
+        body.append(rounded_box([x0 - 0.018, left, 0.16], [x0, left + 0.39, 0.68], 0.008, 1, 0))
     top = rounded_box([x0 - 0.03, y0 - 0.02, 0.72], [x1, y1 + 0.02, 0.75], 0.01, 1, 0).mapped(0.7)
     knobs = [sphere([x0 - 0.03, y0 + 0.36 + k * 0.402, 0.45], 0.018, 8) for k in range(3)]
     post = turned_leg([(0.015, 0.0), (0.028, 0.06), (0.024, 0.12)], 3, 8)
@@ -894,7 +887,7 @@ def sideboard() -> Shapes:
     vase = revolve(np.concatenate([[[0, 0]], curve, curve[-1:] - [0.006, 0]]), 26)
     vase.uvs[:, 1] = 1 - vase.points[:, 2] / 0.40
     return {
-        "sideboard": (merge(body + doors), "lacquer"),
+        "sideboard": (merge(body), "lacquer"),
         "sideboard_top": (top, "lacquered_wood"),
         "sideboard_knobs": (merge(knobs), "brass"),
         "sideboard_feet": (merge(feet), "wood"),
@@ -997,11 +990,8 @@ def frame(corner: np.ndarray, across: np.ndarray, up: np.ndarray, out: np.ndarra
         (o - wide * a, wide * a + h * u),
         (o + w * a, wide * a + h * u),
     ]
-    meshes = []
-    for start, extent in bars:
-        end = start + extent + 0.025 * out
-        meshes.append(box(np.minimum(start, end), np.maximum(start, end)))
-    return merge(meshes)
+    ends = [(start, start + extent + 0.025 * out) for start, extent in bars]
+    return merge(box(np.minimum(*pair), np.maximum(*pair)) for pair in ends)
 
 
 def plant(rng: np.random.Generator) -> Shapes:
@@ -1160,22 +1150,14 @@ def mirror(reflectance: float) -> str:
     return none + colour("specular_reflectance", reflectance)
 
 
+# Pictures that materials are named after.
+PICTURES = (
+    "floor.jpg", "wallpaper.jpg", "wood.jpg", "rug.jpg", "books.jpg", "fabric.jpg", "stripes.png",
+    "landscape.jpg", "blocks.png", "rings.jpg", "eye_chart.png", "clock.png", "page.png", "globe.jpg",
+    "outdoors.jpg",
+)  # fmt: skip
 DIFFUSE: dict[str, float | Point | str] = {
-    "floor": "floor.jpg",
-    "wallpaper": "wallpaper.jpg",
-    "wood": "wood.jpg",
-    "rug": "rug.jpg",
-    "books": "books.jpg",
-    "fabric": "fabric.jpg",
-    "stripes": "stripes.png",
-    "landscape": "landscape.jpg",
-    "blocks": "blocks.png",
-    "rings": "rings.jpg",
-    "eye_chart": "eye_chart.png",
-    "clock": "clock.png",
-    "page": "page.png",
-    "globe": "globe.jpg",
-    "outdoors": "outdoors.jpg",
+    **{Path(file).stem: file for file in PICTURES},
     "plaster": 0.82,
     "white_paint": (0.78, 0.77, 0.74),
     "door_paint": (0.34, 0.46, 0.46),
@@ -1227,12 +1209,17 @@ def write_shapes(folder: Path, shapes: Shapes) -> tuple[str, int]:
     text, triangles = "", 0
     for name, (mesh, material) in shapes.items():
         triangles += write_ply(folder / "meshes" / f"{name}.ply", mesh)
-        text += (
-            f'\t<shape type="ply" id="{name}_shape">\n'
-            f'\t\t<string name="filename" value="meshes/{name}.ply" />\n'
-            f'\t\t<ref id="{material}" />\n\t</shape>\n'
-        )
+        text += ply_shape(name, material)
     return text, triangles
+
+
+def ply_shape(name: str, material: str, folder: str = "") -> str:
+    """A mesh in a scene's folder, or in another one."""
+    return (
+        f'\t<shape type="ply" id="{name}_shape">\n'
+        f'\t\t<string name="filename" value="{folder}meshes/{name}.ply" />\n'
+        f'\t\t<ref id="{material}" />\n\t</shape>\n'
+    )
 
 
 def write_textures(folder: Path, pictures: dict[str, Image.Image]) -> None:
@@ -1253,17 +1240,16 @@ def write_room(folder: Path) -> int:
     return triangles
 
 
-CORNELL_WALLS = {
-    # name: (colour, transform of the rectangle -1..1 that faces +z)
-    "floor": ("white", ("rotate x -90", "translate 0 -1 0")),
-    "ceiling": ("white", ("rotate x 90", "translate 0 1 0")),
-    "back": ("white", ("translate 0 0 -1",)),
-    "left": ("red", ("rotate y 90", "translate -1 0 0")),
-    "right": ("green", ("rotate y -90", "translate 1 0 0")),
-}
-CORNELL_BOXES = {
-    "tall_box": ("white", ("scale 0.3 0.6 0.3", "rotate y 17", "translate -0.34 -0.4 -0.3")),
-    "small_box": ("satin", ("scale 0.3 0.3 0.3", "rotate y -17", "translate 0.35 -0.7 0.36")),
+Builtin = tuple[str, str, Sequence[str]]
+CORNELL: dict[str, Builtin] = {
+    # name: (kind, material, transform); a rectangle is one of -1..1 that faces +z
+    "floor": ("rectangle", "white", ("rotate x -90", "translate 0 -1 0")),
+    "ceiling": ("rectangle", "white", ("rotate x 90", "translate 0 1 0")),
+    "back": ("rectangle", "white", ("translate 0 0 -1",)),
+    "left": ("rectangle", "red", ("rotate y 90", "translate -1 0 0")),
+    "right": ("rectangle", "green", ("rotate y -90", "translate 1 0 0")),
+    "tall_box": ("cube", "white", ("scale 0.3 0.6 0.3", "rotate y 17", "translate -0.34 -0.4 -0.3")),
+    "small_box": ("cube", "satin", ("scale 0.3 0.3 0.3", "rotate y -17", "translate 0.35 -0.7 0.36")),
 }
 
 
@@ -1280,10 +1266,13 @@ def transform(steps: Sequence[str]) -> str:
     return f'\t\t<transform name="to_world">\n{body}\t\t</transform>\n'
 
 
-def cornell_shape(kind: str, name: str, material: str, steps: Sequence[str], more: str = "") -> str:
-    """One builtin shape of the Cornell box."""
-    ref = f'\t\t<ref id="{material}" />\n'
-    return f'\t<shape type="{kind}" id="{name}">\n{transform(steps)}{ref}{more}\t</shape>\n'
+def builtin_shapes(shapes: dict[str, Builtin], more: str = "") -> str:
+    """Builtin shapes of Mitsuba, each with more inside."""
+    return "".join(
+        f'\t<shape type="{kind}" id="{name}">\n{transform(steps)}'
+        f'\t\t<ref id="{material}" />\n{more}\t</shape>\n'
+        for name, (kind, material, steps) in shapes.items()
+    )
 
 
 def write_cornell(folder: Path) -> None:
@@ -1293,13 +1282,10 @@ def write_cornell(folder: Path) -> None:
     text = head(256, 6, 38, ((0, 0, 3.9), (0, 0, 0), (0, 1, 0)))
     text += "".join(bsdf(n, "diffuse", colour("reflectance", c)) for n, c in colours.items())
     text += bsdf("satin", "roughplastic", plastic((0.62, 0.64, 0.70), 0.2))
-    for name, (material, steps) in CORNELL_WALLS.items():
-        text += cornell_shape("rectangle", name, material, steps)
-    for name, (material, steps) in CORNELL_BOXES.items():
-        text += cornell_shape("cube", name, material, steps)
+    text += builtin_shapes(CORNELL)
     light = '\t\t<emitter type="area">\n\t\t\t<rgb name="radiance" value="30, 26, 18" />\n\t\t</emitter>\n'
     steps = ("scale 0.23 0.19 1", "rotate x 90", "translate 0 0.99 0.01")
-    text += cornell_shape("rectangle", "light", "white", steps, light)
+    text += builtin_shapes({"light": ("rectangle", "white", steps)}, light)
     (folder / "cornell.xml").write_text(text + "</scene>\n", encoding="utf-8")
 
 
@@ -1450,9 +1436,8 @@ def ground_picture(
     for count in cells:
         coarse = rng.uniform(-1, 1, (count, count)).astype(np.float32)
         repeated = Image.fromarray(np.tile(coarse, (3, 3)), mode=None)
-        total += np.asarray(repeated.resize((3 * size,) * 2, Image.Resampling.BICUBIC))[
-            size:-size, size:-size
-        ]
+        smooth = repeated.resize((3 * size,) * 2, Image.Resampling.BICUBIC)
+        total += np.asarray(smooth)[size:-size, size:-size]
     tint = np.array([0.9, 1.0, 0.7]) if tone[1] > tone[0] else np.ones(3)
     return to_image(np.array(tone) * (1 + spread * total[..., None] / len(cells) ** 0.5 * tint))
 
@@ -1508,10 +1493,8 @@ def sky_radiance(rng: np.random.Generator, width: int = 512) -> np.ndarray:
     glow = 0.35 * np.exp(-(1 - toward) / 0.02)[..., None] * np.array([1.0, 0.9, 0.7])
     lit = 0.8 + 0.25 * np.clip(toward, 0, 1)[..., None]
     sky = (1 - cover) * sky + cover * lit * np.array([1.0, 0.99, 0.97]) + glow
-    column, line = (
-        SUN_AZIMUTH % (2 * math.pi) / (2 * math.pi) * width,
-        (0.5 - SUN_ELEVATION / math.pi) * width / 2,
-    )
+    column = SUN_AZIMUTH % (2 * math.pi) / (2 * math.pi) * width
+    line = (0.5 - SUN_ELEVATION / math.pi) * width / 2
     rows, columns = np.s_[round(line) - 1 : round(line) + 1], np.s_[round(column) - 1 : round(column) + 1]
     # Four texels give the irradiance of the sun.
     solid_angle = 4 * (2 * math.pi / width) ** 2 * math.cos(SUN_ELEVATION)

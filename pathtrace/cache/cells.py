@@ -150,11 +150,6 @@ class Cells:
         return np.stack(found)
 
 
-def names_of(keys: NDArray[np.uint64]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Two names (N,) in keys of `Grid.keys`, to choose places in a table and to recognize cells there."""
-    return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
-
-
 def _names(
     position: NDArray[np.float32], normal: NDArray[np.float32], level: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
@@ -193,24 +188,18 @@ def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer:
     return bits ^ (bits >> integer(16))
 
 
-@dataclass(frozen=True, eq=False)
 class Table:
     """Where cells are found by their names, in T places, a power of two; open addressing.
 
-    Each has the second name and the index of a cell; a name of 0 stands for none.
+    Each has the second name and the index of a cell; a name of 0 stands for none. Cells are given by their
+    keys (C,), as those of `Grid.keys`.
     """
 
-    names: NDArray[np.uint32]
-    indices: NDArray[np.uint32]
-
-    @staticmethod
-    def of(first: NDArray[np.uint32], second: NDArray[np.uint32]) -> Table:
-        """A table of cells by their two names (C,) each."""
-        size = 1 << max(4, int(np.ceil(np.log2(_ROOM * len(first) + 1))))
-        while True:
-            table = Table(np.zeros(size, np.uint32), np.zeros(size, np.uint32))
-            if table._holds(first, second):
-                return table
+    def __init__(self, keys: NDArray[np.uint64]):
+        # Of the two names in each, one chooses places in the table, and the other recognizes cells there.
+        first, second = (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
+        size = 1 << max(4, int(np.ceil(np.log2(_ROOM * len(keys) + 1))))
+        while not self._holds(size, first, second):
             size *= 2
 
     @cached_property
@@ -218,11 +207,12 @@ class Table:
         """The table as Dr.Jit arrays for `find`."""
         return mi.UInt32(self.names), mi.UInt32(self.indices)
 
-    def _holds(self, first: NDArray[np.uint32], second: NDArray[np.uint32]) -> bool:
-        """Puts the cells into the table; False if it is too full."""
+    def _holds(self, size: int, first: NDArray[np.uint32], second: NDArray[np.uint32]) -> bool:
+        """Puts the cells into a new table of that size; False if it is too full."""
+        self.names, self.indices = np.zeros(size, np.uint32), np.zeros(size, np.uint32)
         waiting = np.arange(len(first))
         for probe in range(_PROBES):
-            here = (first[waiting].astype(np.int64) + probe) & (len(self.names) - 1)
+            here = (first[waiting].astype(np.int64) + probe) & (size - 1)
             # Of the cells that want the same place, the first gets it.
             _, winner = np.unique(here, return_index=True)
             winner = winner[self.names[here[winner]] == 0]

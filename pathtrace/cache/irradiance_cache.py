@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find, names_of
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find
 from pathtrace.cache.light_selection import LightChoice, LightSamples
 from pathtrace.cache.transport import Transfer
 
@@ -63,7 +63,7 @@ class IrradianceCache:
 
     @cached_property
     def _table(self) -> Table:
-        return Table.of(*names_of(np.concatenate(self.cells.keys)))
+        return Table(np.concatenate(self.cells.keys))
 
     def arrays(self, scene: Any) -> CacheArrays:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import Grid, Points, Table, cell_names_jit, find, names_of
+from pathtrace.cache.cells import Grid, Points, Table, cell_names_jit, find
 
 # Surfaces that a shadow ray passes at most.
 _MOST = 32
@@ -100,11 +100,10 @@ class LightChoice:
 
         These are grid, table, rows, light numbers, chances, and running sums.
         """
-        table = Table.of(*names_of(self.keys))
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
         numbers = mi.UInt32(light_numbers(scene))
-        return self.grid.arrays, table.arrays, rows, numbers, *self.chance_arrays()
+        return self.grid.arrays, Table(self.keys).arrays, rows, numbers, *self.chance_arrays()
 
     def chance_arrays(self) -> tuple[Any, Any]:
         """The last two of `arrays`: all that changes while a choice is learnt."""

@@ -7,6 +7,7 @@ instant-ngp convention, so that other programs can read the file.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -53,12 +54,15 @@ def describe_capture(
     held_out = _held_out(views, settings.held_out)
     # Every third held-out view is kept from fitting the fusion, too.
     fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
+    spp = settings.held_out_spp
+    # Samples per pixel of a view's estimates, in all at most half of the view's own.
+    estimates = [n for i, n in enumerate(_ESTIMATE_SPP) if 2 * sum(_ESTIMATE_SPP[: i + 1]) <= spp]
     frames = [
         _entry(
             camera,
             f"frames/{index:04d}",
-            settings.held_out_spp if index in held_out else settings.spp,
-            _estimate_spp(settings.held_out_spp) if index in fitted else [],
+            spp if index in held_out else settings.spp,
+            estimates if index in fitted else [],
             index in held_out,
             views.times[index],
         )
@@ -69,36 +73,37 @@ def describe_capture(
         # As captures had them when there were no other views.
         del described["monocular"]
     rng = np.random.default_rng(settings.seed)
-    close_ups = [
-        _close_up(cameras[index], index, factor, settings.held_out_spp, views.times[index], rng)
-        for index in sorted(fitted)
-        for factor in settings.close_ups
-    ]
+    close_ups = []
+    for index, factor in itertools.product(sorted(fitted), settings.close_ups):
+        part, path = _part_of(cameras[index], factor, rng), f"frames/{index:04d}-closer{factor}"
+        entry = _entry(part, path, spp, estimates, True, views.times[index])
+        # With its own intrinsics.
+        close_ups.append({**entry, **_intrinsics(part)})
     return {
         "camera_model": "OPENCV",
         **_intrinsics(cameras[0]),
-        "format_version": FORMAT_VERSION,
-        "scene": described_scene(scene),
-        "settings": described,
-        "integrator": integrator.value,
-        **described_motion(scene),
+        **described_set(scene, described, integrator.value),
         "frames": frames,
         # Not among the frames, all of which other programs would train on.
         "close_ups": close_ups,
     }
 
 
-def described_scene(scene: Scene) -> dict[str, Any]:
-    """The scene in transforms.json, with coordinates if not the world's, and what is planned for it."""
+def described_set(scene: Scene, settings: dict[str, Any], integrator: str) -> dict[str, Any]:
+    """What transforms.json says of all frames: of the scene, with what moves rigidly, and how it is traced.
+
+    The scene has coordinates if they are not the world's, and what is planned for it, if anything is.
+    """
     place = {} if scene.place == WORLD else asdict(scene.place)
     plan = {"plan": dict(scene.plan)} if scene.plan else {}
-    return {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place, **plan}
-
-
-def described_motion(scene: Scene) -> dict[str, Any]:
-    """What moves rigidly, in transforms.json; nothing of a scene that stands still."""
-    moving = scene.moving
-    return {} if moving is None else {"courses": [course.as_json() for course in moving.courses()]}
+    motion = {} if scene.moving is None else {"courses": [c.as_json() for c in scene.moving.courses()]}
+    return {
+        "format_version": FORMAT_VERSION,
+        "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place, **plan},
+        "settings": settings,
+        "integrator": integrator,
+        **motion,
+    }
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
@@ -144,20 +149,6 @@ def _entry(
         "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in estimate_spp],
         "halves": [f"{path}-half{number}.exr" for number in (1, 2)] if estimate_spp else [],
     }
-
-
-def _close_up(
-    camera: Camera, index: int, factor: int, spp: int, time: float, rng: np.random.Generator
-) -> dict[str, Any]:
-    """A held-out view's close-up in transforms.json, with its own intrinsics."""
-    part = _part_of(camera, factor, rng)
-    entry = _entry(part, f"frames/{index:04d}-closer{factor}", spp, _estimate_spp(spp), True, time)
-    return {**entry, **_intrinsics(part)}
-
-
-def _estimate_spp(spp: int) -> list[int]:
-    """Samples per pixel of a view's estimates, in all at most half of the view's own."""
-    return [count for i, count in enumerate(_ESTIMATE_SPP) if 2 * sum(_ESTIMATE_SPP[: i + 1]) <= spp]
 
 
 def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:

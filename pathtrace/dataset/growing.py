@@ -15,7 +15,7 @@ from compose.base.files import read_json, write_whole
 from compose.camera.camera import RIGID_TOLERANCE, Camera
 from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 from compose.image.colour import Image
-from pathtrace.dataset.capture import described_motion, described_scene
+from pathtrace.dataset.capture import described_set
 from pathtrace.dataset.captured_frames import (
     CapturedFrame,
     framed,
@@ -25,7 +25,6 @@ from pathtrace.dataset.captured_frames import (
     read_radiance,
     write_frame,
 )
-from pathtrace.dataset.frame_set import FORMAT_VERSION
 from pathtrace.trace.traced_images import TracedImage, trace_frame
 from pathtrace.trace.tracer import Tracer
 
@@ -58,14 +57,7 @@ class GrowingFrames:
     def __init__(self, folder: Path, tracer: Tracer, integrator: str, seed: int):
         self.folder, self.scene, self._tracer, self._seed = folder, tracer.scene, tracer, seed
         self._path = folder / "transforms.json"
-        self._facts = {
-            "camera_model": "OPENCV",
-            "format_version": FORMAT_VERSION,
-            "scene": described_scene(tracer.scene),
-            "settings": {"seed": seed},
-            "integrator": integrator,
-            **described_motion(tracer.scene),
-        }
+        self._facts = {"camera_model": "OPENCV", **described_set(tracer.scene, {"seed": seed}, integrator)}
         self._entries: list[dict[str, Any]] = self._stored()
 
     @property

@@ -60,16 +60,15 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
     # Lenses of damaged files overflow, and are refused.
     with np.errstate(over="ignore", invalid="ignore"):
         x, y = _sources(camera, lens)
-        rectangle = _valid_rectangle(camera, x, y)
-    rows, columns = rectangle
-    left = (rows.stop - rows.start) * (columns.stop - columns.start)
-    if left < _LEAST_LEFT * x.size or _folds(x[rectangle], y[rectangle]):
+        rows, columns = _valid_rectangle(camera, x, y)
+    at = np.stack([y[rows, columns], x[rows, columns]])
+    _, height, width = at.shape
+    if height * width < _LEAST_LEFT * x.size or _folds(at[1], at[0]):
         raise ValueError(
             f"distortion {[*lens.radial, *lens.tangential]} is too strong for an image of "
             f"{camera.width} x {camera.height} pixels; undistort the images first"
         )
-    at = np.stack([y[rectangle], x[rectangle]])
-    cut = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+    cut = camera.cropped(columns.start, rows.start, width, height)
     return cut, [map_coordinates(image, at, order=3, mode="nearest") for image in images]
 
 

@@ -71,14 +71,15 @@ def fill_cache(
         progress(generation + 1, total)
     every = joined_points(parts)
     cells = Cells.of(every, grid, lambda one, other, side: _joined(scene.mitsuba, every, one, other, side))
-    places = GuidedPlaces.of(every, cells, gather_direct(scene.mitsuba, every, _state(random)))
+    direct, samples = gather_direct(scene.mitsuba, every, _state(random))
+    places = GuidedPlaces(every, cells, direct)
     progress(total - 1, total)
     most = segments_beyond_cache(scene)
     even = replace(Seen.joined(seen), point=np.repeat(np.arange(len(every)), _RAYS))
     transfer = guided_transfer(scene.mitsuba, places, even, most, random)
     irradiance = transfer.irradiance(most)
     progress(total, total)
-    lights = LightChoice.of(places.direct.samples, every, grid, len(scene.mitsuba.emitters()))
+    lights = LightChoice.of(samples, every, grid, len(scene.mitsuba.emitters()))
     return IrradianceCache(cells.only_known(), irradiance[:, cells.known], lights, shuffled(transfer, random))
 
 

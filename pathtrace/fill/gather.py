@@ -57,20 +57,14 @@ class Followed:
     reflectance: Any
 
 
-def surface_at(position: Any, normal: Any) -> Any:
-    """Mitsuba interactions at points with unit normals of the lit side."""
+def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
+    """Mitsuba interactions at some places, given all positions and unit normals of the lit side."""
+    position = dr.gather(mi.Point3f, places[0], index, active)
+    normal = dr.gather(mi.Normal3f, places[1], index, active)
     at = dr.zeros(mi.SurfaceInteraction3f, dr.width(position))
-    at.p, at.n, at.t = position, mi.Normal3f(normal), mi.Float(1)
+    at.p, at.n, at.t = position, normal, mi.Float(1)
     at.sh_frame = mi.Frame3f(at.n)
     return at
-
-
-def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
-    """The same at some places, of which there are all positions and normals."""
-    position, normal = places
-    return surface_at(
-        dr.gather(mi.Point3f, position, index, active), dr.gather(mi.Normal3f, normal, index, active)
-    )
 
 
 def stratified(sampler: Any, lane: Any) -> Any:
@@ -87,7 +81,7 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
 
     Args:
         scene: a Mitsuba scene.
-        at: from `surface_at`; only those that are active count.
+        at: from `surfaces_at`; only those that are active count.
         square: where on the lights, each light with the same chance.
         other: where the other ray's direction lies, cosine-weighted around the normal.
 
@@ -179,14 +173,6 @@ def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Fol
 
 
 @dataclass(frozen=True)
-class Direct:
-    """Irradiance (N, 3) from lights at N points, by SAMPLES samples of the lights at each."""
-
-    irradiance: NDArray[np.float32]
-    samples: LightSamples
-
-
-@dataclass(frozen=True)
 class Seen:
     """What M rays from points found.
 
@@ -226,13 +212,16 @@ class Seen:
         return Seen(**values, hits=joined_points([part.hits for part in parts]))
 
 
-def gather_direct(scene: Any, points: Points, seed: int) -> Direct:
-    """Samples the lights of a Mitsuba scene from points; same seed, same samples."""
+def gather_direct(scene: Any, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
+    """Irradiance (N, 3) from the lights of a Mitsuba scene at N points, by SAMPLES samples of them at each.
+
+    Also returns the samples; same seed, same samples.
+    """
     places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
     *means, sampled, registered = sampled_lights(scene, dr.opaque(mi.UInt32, seed), places, len(points))
     light = light_numbers(scene)[registered.numpy()]
     samples = LightSamples(np.arange(len(light)) // SAMPLES, light, sampled.numpy())
-    return Direct(np.stack([channel.numpy() for channel in means], axis=1), samples)
+    return np.stack([channel.numpy() for channel in means], axis=1), samples
 
 
 def sampled_lights(
@@ -311,7 +300,7 @@ def irradiance_over_time(
     for number, time in enumerate(times):
         scene.set_time(time)
         now = points(time)
-        rounds = [gather_direct(scene.mitsuba, now, seed + n).irradiance for n in range(_ROUNDS)]
+        rounds = [gather_direct(scene.mitsuba, now, seed + n)[0] for n in range(_ROUNDS)]
         found[number] = indirect + np.mean(rounds, axis=0).T
         if len(moving) and number in some:
             arriving.append(_indirect(scene, cache, now.take(moving), seed))

@@ -6,8 +6,7 @@ is combined by the balance heuristic (Veach and Guibas 1995).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from scipy.spatial import KDTree
 
 from pathtrace.cache.cells import Cells, Points
 from pathtrace.cache.transport import Links, Patches, Rays, Transfer, Transport, sums_by
-from pathtrace.fill.gather import Direct, Seen, gather_seen
+from pathtrace.fill.gather import Seen, gather_seen
 
 # Bins along each side of the square of directions.
 _SIDE = 8
@@ -29,29 +28,21 @@ _CANDIDATES = 1 << 16
 _TURNED = 0.1
 
 
-@dataclass(frozen=True, eq=False)
 class Guide:
     """Light (R, bins) by direction in R regions: sums of what M rays in even directions brought.
 
     A ray that brought much raises the density of its own direction, which would take weight from it: each ray
     is weighed by what the other rays found, or the sum would be too small.
+
+    What rays brought is in any unit, at least 0. They start in regions, counted from 0, and their directions
+    lie at squares as in `Seen`.
     """
 
-    light: NDArray[np.float64]
-
-    @staticmethod
-    def of(region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]) -> Guide:
-        """The guide by what M rays brought, in any unit, at least 0.
-
-        They start in regions, counted from 0, and their directions lie at squares as in `Seen`.
-        """
+    def __init__(self, region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]):
         regions = int(region.max(initial=-1)) + 1
         sums = np.bincount(region * _BINS + _bins(square), brought, regions * _BINS)
-        return Guide(sums.reshape(regions, _BINS).astype(float))
-
-    @cached_property
-    def _total(self) -> NDArray[np.float64]:
-        return self.light.sum(axis=1)
+        self._light = sums.reshape(regions, _BINS).astype(float)
+        self._total = self._light.sum(axis=1)
 
     def _density(self, light: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
         """Density in the square where a bin has some of the light of its region; even where all is dark."""
@@ -60,7 +51,7 @@ class Guide:
 
     def squares(self, region: NDArray[np.int64], random: np.random.Generator) -> NDArray[np.float32]:
         """Where the directions (M, 2) of guided rays lie, which start in regions (M,)."""
-        density = self._density(self.light, np.broadcast_to(self._total[:, None], self.light.shape))
+        density = self._density(self._light, np.broadcast_to(self._total[:, None], self._light.shape))
         running = np.cumsum(density, axis=1)
         running /= running[:, -1:]
         # All rows in one ascending list: row r lies between r and r + 1.
@@ -83,7 +74,7 @@ class Guide:
         For rays that the guide was learnt from, `brought` (M,) is what each brought.
         """
         own = np.zeros(len(region)) if brought is None else brought.astype(np.float64)
-        light, total = self.light[region, _bins(square)] - own, self._total[region] - own
+        light, total = self._light[region, _bins(square)] - own, self._total[region] - own
         # What rounding leaves of a sum of one ray is no light.
         rest = total > 1e-9 * self._total[region]
         density = self._density(np.where(rest, np.maximum(light, 0), 0), np.where(rest, total, 0))
@@ -136,30 +127,18 @@ def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -
     return Links(seen.point[kept], cell[kept], seen.bounces[kept], reflectance)
 
 
-@dataclass(frozen=True, eq=False)
 class GuidedPlaces:
-    """N points, the cells and patches that they lie in, and the light of lights there."""
+    """N points, the cells and regions (N,) that they lie in, and irradiance (N, 3) from lights there."""
 
-    points: Points
-    cells: Cells
-    patches: Patches
-    patch: NDArray[np.int32]
-    direct: Direct
-
-    @staticmethod
-    def of(points: Points, cells: Cells, direct: Direct) -> GuidedPlaces:
-        patches, patch = Patches.of(cells.indices(points), len(cells))
-        return GuidedPlaces(points, cells, patches, patch, direct)
-
-    @cached_property
-    def regions(self) -> NDArray[np.int64]:
-        """(N,) region of each point."""
-        return self.patches.regions[self.patch]
+    def __init__(self, points: Points, cells: Cells, direct: NDArray[np.float32]):
+        self.points, self.cells, self.direct = points, cells, direct
+        self._patches, self._patch = Patches.of(cells.indices(points), len(cells))
+        self.regions = self._patches.regions[self._patch]
 
     def transfer(self, seen: Seen, hit: NDArray[np.int64], weight: NDArray[np.float32]) -> Transfer:
         """What rays from the points found, summed over patches, given the cells that they hit."""
-        transport = Transport.of(links_of(seen, hit, weight), self.patches, self.patch)
-        direct = sums_by(self.patch, self.direct.irradiance, len(self.patches))
+        transport = Transport.of(links_of(seen, hit, weight), self._patches, self._patch)
+        direct = sums_by(self._patch, self.direct, len(self._patches))
         # Of each ray, the light that a point gets is pi times that, over the number of the point's rays.
         arriving = (np.pi * len(self.points) / len(seen.point) * weight).astype(np.float32)
         region = self.regions[seen.point]
@@ -170,7 +149,7 @@ class GuidedPlaces:
         rays = Rays(seen.point[shiny].astype(np.int32), seen.square[shiny], arriving[shiny])
         light = direct.astype(np.float32), reflected.astype(np.float32)
         passed = _passed(region, seen.passed, shown.mean(axis=1), count)
-        return Transfer(self.points, self.patch, rays, *light, passed, transport, self.cells.known)
+        return Transfer(self.points, self._patch, rays, *light, passed, transport, self.cells.known)
 
 
 def _passed(
@@ -194,7 +173,7 @@ def guided_transfer(
     known = places.transfer(even, hit, np.ones(len(hit), dtype=np.float32)).irradiance(most)[-1]
     found = np.where(hit[:, None] >= 0, known[hit] * even.reflectance, 0) + np.pi * even.radiance
     brought, region = found.mean(axis=1), places.regions[even.point]
-    guide = Guide.of(region, even.square, brought)
+    guide = Guide(region, even.square, brought)
     further = gather_seen(
         scene, points, even.point, guide.squares(region, random), int(random.integers(1 << 32))
     )

@@ -198,11 +198,9 @@ class Nodes:
 
     def ancestors(self, node: int) -> list[int]:
         """A node, its parent, and so on."""
-        found: list[int] = []
-        upper: int | None = node
-        while upper is not None:
-            found.append(upper)
-            upper = self._parents[upper]
+        found = [node]
+        while (parent := self._parents[found[-1]]) is not None:
+            found.append(parent)
         return found
 
     def weights(self, node: int, default: Array, times: Array) -> Array:

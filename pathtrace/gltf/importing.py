@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import PART_PREFIX, write_whole
@@ -26,11 +25,11 @@ from pathtrace.gltf.materials import Materials, Textures, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
 from pathtrace.gltf.movement import (
     Movement,
+    Times,
     as_json,
     keyframes_of,
     movement_of,
     require_few,
-    times_of,
     without_scale,
 )
 
@@ -66,10 +65,9 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: exists already; name another folder, or remove it")
-    part = None
+    # A folder that is there may be the working one, or a link, and stays.
+    part = (folder if folder.is_dir() else folder.parent) / f"{PART_PREFIX}{secrets.token_hex(8)}"
     try:
-        # A folder that is there may be the working one, or a link, and stays.
-        part = (folder if folder.is_dir() else folder.parent) / f"{PART_PREFIX}{secrets.token_hex(8)}"
         part.mkdir(parents=True)
         try:
             found = _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
@@ -85,8 +83,7 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({one_line(error)})") from error
     finally:
-        if part is not None:
-            shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
     return found
 
 
@@ -97,7 +94,7 @@ class _Import:
         self._document, self._folder = document, folder
         self._remarks: list[str] = []
         self._nodes = Nodes(document, chosen_animation(document, animation, self._remarks))
-        self._times = times_of(self._nodes, fps)
+        self._times = Times(self._nodes, fps)
         self._to_world = self._nodes.to_world(self._times.dense)
         self._materials = Materials(document, Textures(document, folder), self._remarks)
         self._names = {"camera", "surroundings"}
@@ -143,12 +140,17 @@ class _Import:
         colours = None if "baseColorTexture" in pbr else primitive.colours
         if colours is not None:
             colours = colours * np.array(pbr.get("baseColorFactor", [1, 1, 1])[:3])
-        faces = self._faces(primitive)
+        mirrors = np.linalg.det(self._to_world[primitive.node][0, :3, :3]) < 0
+        # A node that mirrors turns fronts to the back, if nothing turns them again (3.7.4).
+        faces = primitive.faces[:, ::-1] if mirrors and primitive.skin is None else primitive.faces
         uvs = primitive.uvs.get(self._materials.uv_set(primitive.material, user))
         file = f"{_MESHES}/{name}.ply"
         write_mesh(self._folder / file, faces, movement.rest, self._normals(primitive), uvs, colours)
         if len(movement.meshes):
-            self._tracks[name] = {"meshes": self._sequence(name, primitive, movement)}
+            meshes = [f"{_MESHES}/{name}-{step:04d}.ply" for step in range(len(movement.meshes))]
+            for mesh, vertices in zip(meshes, movement.meshes, strict=True):
+                write_mesh(self._folder / mesh, faces, vertices)
+            self._tracks[name] = {"meshes": meshes}
         elif movement.keyframes:
             self._tracks[name] = as_json(movement.keyframes, movement.about)
         shape = plugin("shape", "ply", value("string", "filename", file), id=name)
@@ -159,11 +161,6 @@ class _Import:
             shape.append(emitter)
         return shape
 
-    def _faces(self, primitive: Primitive) -> NDArray[np.int64]:
-        """(F, 3); a node that mirrors turns fronts to the back, if nothing turns them again (3.7.4)."""
-        mirrors = np.linalg.det(self._to_world[primitive.node][0, :3, :3]) < 0
-        return primitive.faces[:, ::-1] if mirrors and primitive.skin is None else primitive.faces
-
     def _normals(self, primitive: Primitive) -> Array | None:
         """(V, 3) in the world at time 0; none of what deforms: they are made of its faces, at each time."""
         if primitive.normals is None or primitive.skin is not None or len(primitive.targets):
@@ -171,13 +168,6 @@ class _Import:
         matrix = self._to_world[primitive.node][0, :3, :3]
         # Of what is flat in a direction, no inverse exists.
         return unit(primitive.normals @ np.linalg.pinv(matrix), [0.0, 0.0, 1.0])
-
-    def _sequence(self, name: str, primitive: Primitive, movement: Movement) -> list[str]:
-        """Names of the mesh files of what deforms."""
-        files = [f"{_MESHES}/{name}-{step:04d}.ply" for step in range(len(movement.meshes))]
-        for file, vertices in zip(files, movement.meshes, strict=True):
-            write_mesh(self._folder / file, self._faces(primitive), vertices)
-        return files
 
     def _lights(self, bounds: Array) -> list[ET.Element]:
         lights = read_lights(self._document, self._nodes)

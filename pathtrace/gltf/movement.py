@@ -114,28 +114,21 @@ class Movement:
     meshes: Array
 
 
-@dataclass(frozen=True)
 class Times:
-    """When a scene is looked at, in seconds: (T,) dense times and (E,) even ones.
+    """When nodes are looked at while their animation plays, in seconds; UserError if that is too often.
 
-    The dense ones are the equal steps of the even ones, all keyframes and moments before steps.
+    There are (T,) dense times and (E,) even ones. The dense ones are the equal steps of the even ones, all
+    keyframes and moments before steps; their shares (T,) are from 0 to 1.
     """
 
-    dense: Array
-    even: Array
-
-    @property
-    def shares(self) -> Array:
-        """(T,) the dense ones, from 0 to 1."""
-        return self.dense / max(float(self.dense[-1]), 1e-30)
-
-
-def times_of(nodes: Nodes, fps: float) -> Times:
-    """When to look at nodes while their animation plays; UserError if that is too often."""
-    seconds = nodes.animation.seconds
-    if seconds * fps * len(nodes) > _MOST_POSES:
-        raise UserError(f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long")
-    return Times(nodes.animation.all_times(fps), nodes.animation.even_times(fps))
+    def __init__(self, nodes: Nodes, fps: float):
+        seconds = nodes.animation.seconds
+        if seconds * fps * len(nodes) > _MOST_POSES:
+            raise UserError(
+                f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long"
+            )
+        self.dense, self.even = nodes.animation.all_times(fps), nodes.animation.even_times(fps)
+        self.shares = self.dense / max(float(self.dense[-1]), 1e-30)
 
 
 def movement_of(primitive: Primitive, nodes: Nodes, times: Times, to_world: list[Array]) -> Movement:

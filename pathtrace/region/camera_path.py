@@ -13,7 +13,6 @@ position, what it looks at, and what is up, which may be left out. `radius` may 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
 from compose.camera.camera import Array, Camera, look_at, turned
 from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
-from pathtrace.region.looks import Looks, looks_of
+from pathtrace.region.looks import Looks, looks_of, upright
 from pathtrace.region.view_selection import DrawnRegion
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
@@ -45,19 +44,12 @@ _TURNS, _TRAINING_TURNS = (20.0, 10.0), (32.0, 16.0)
 _BALL_TRIES = 8
 
 
-@dataclass(frozen=True)
-class CameraPath:
-    """A camera's path in the coordinates of the scene's file: poses (4, 4) camera-to-world, OpenCV axes.
+def read_path(file: Path, up: Array) -> tuple[list[Array], float | None]:
+    """The path in a file: poses (4, 4) camera-to-world, OpenCV axes, and the radius of the space around it.
 
-    Without a radius of the space around it, the region chooses one.
+    They are in the coordinates of the scene's file, in which `up` (3,) is up unless a pose says otherwise.
+    Without a radius, the region chooses one. UserError if the file holds no path.
     """
-
-    poses: list[Array]
-    radius: float | None
-
-
-def read_path(file: Path, up: Array) -> CameraPath:
-    """The path in a file, in which `up` (3,) is up unless a pose says otherwise; UserError if it is none."""
     with reading(file):
         document = read_json(file, _MOST_BYTES)
     frames = document.get("frames") if isinstance(document, dict) else None
@@ -79,7 +71,7 @@ def read_path(file: Path, up: Array) -> CameraPath:
                 f"{file}: frames[{index}] is not a pose ({what}); must have transform_matrix, or position "
                 "and look_at"
             ) from error
-    return CameraPath(poses, radius)
+    return poses, radius
 
 
 def _pose(frame: Any, up: Array) -> Array:
@@ -101,28 +93,39 @@ def _point(frame: dict[str, Any], name: str) -> Array:
 
 
 class PathRegion(DrawnRegion):
-    """The space around a camera's path, which has poses in the coordinates of the scene's file.
+    """The space around the camera's path in a file.
 
-    Without a radius of what belongs to the region around them, that is an eighth of the distance to what the
-    cameras see. The name is that of the file. UserError if a pose lies on a surface, or a surface lies
-    between it and the pose before; or the path sees no surface.
+    Without a radius of what belongs to the region around its poses, that is an eighth of the distance to what
+    the cameras see. The name is that of the file. UserError as for `read_path`, or if a pose lies on a
+    surface, or a surface lies between it and the pose before; or the path sees no surface.
     """
 
     _views = "along the path"
     _nothing = "no view along the path sees more than surfaces right before it"
 
-    def __init__(self, scene: Scene, surfaces: Surfaces, path: CameraPath, name: str):
-        self._scene, self._surfaces, self._path, self.name = scene, surfaces, path, name
+    def __init__(self, scene: Scene, surfaces: Surfaces, file: Path):
+        self._scene, self._surfaces = scene, surfaces
+        self.name = self._source = str(file)
+        self._poses, radius = read_path(file, upright(scene.camera))
         place = scene.place
-        self._looks = looks_of([place.camera(scene.camera.at(pose)) for pose in path.poses])
+        self._looks = looks_of([place.camera(scene.camera.at(pose)) for pose in self._poses])
         distance = self._looks.probe(surfaces, scene.camera, 12)
         if not np.isfinite(distance).any():
-            raise UserError(f"{name}: no frame of the path sees a surface")
+            raise UserError(f"{file}: no frame of the path sees a surface")
         self._scale = float(np.median(distance[np.isfinite(distance)]))
         self._patch, self._near = _PATCH * self._scale, _NEAR * self._scale
-        self.radius = _RADIUS * self._scale if path.radius is None else path.radius / place.unit
+        self.radius = _RADIUS * self._scale if radius is None else radius / place.unit
         self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)
-        self._check_free()
+        stops = self._looks.positions
+        tight = np.flatnonzero(surfaces.clearances(stops) < 0.1 * self._least)
+        blocked = 1 + np.flatnonzero(~surfaces.are_joined(stops[:-1], stops[1:]))
+        if len(tight) and not (len(blocked) and blocked[0] < tight[0]):
+            raise UserError(f"{file}: frames[{tight[0]}] lies on a surface; must be in free space")
+        if len(blocked):
+            raise UserError(
+                f"{file}: the path leaves the free space: a surface lies between "
+                f"frames[{blocked[0] - 1}] and frames[{blocked[0]}]"
+            )
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """(N,) whether points (N, 3) lie within the radius, and nothing between them and the path."""
@@ -138,13 +141,9 @@ class PathRegion(DrawnRegion):
 
     def identity(self) -> dict[str, Any]:
         """What tells it from other regions of the same scene, in the coordinates of the scene's file."""
-        matrices = [opengl_from_opencv(pose).tolist() for pose in self._path.poses]
+        matrices = [opengl_from_opencv(pose).tolist() for pose in self._poses]
         radius = self.radius * self._scene.place.unit
         return {"kind": "path", "radius": radius, "frames": [{"transform_matrix": m} for m in matrices]}
-
-    @property
-    def _source(self) -> str:
-        return self.name
 
     def _first(self, home: Camera) -> Camera:
         return self._looks.camera(0, home)
@@ -193,15 +192,3 @@ class PathRegion(DrawnRegion):
         """Whether points (N, 3) are seen from places (N, 3) and not on a surface."""
         clearance = self._surfaces.clearances(points)
         return self._surfaces.are_joined(places, points) & (clearance >= self._least)
-
-    def _check_free(self) -> None:
-        stops = self._looks.positions
-        tight = np.flatnonzero(self._surfaces.clearances(stops) < 0.1 * self._least)
-        blocked = 1 + np.flatnonzero(~self._surfaces.are_joined(stops[:-1], stops[1:]))
-        if len(tight) and not (len(blocked) and blocked[0] < tight[0]):
-            raise UserError(f"{self.name}: frames[{tight[0]}] lies on a surface; must be in free space")
-        if len(blocked):
-            raise UserError(
-                f"{self.name}: the path leaves the free space: a surface lies between "
-                f"frames[{blocked[0] - 1}] and frames[{blocked[0]}]"
-            )

@@ -46,9 +46,8 @@ _GOLDEN = (5**0.5 - 1) / 2
 BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
 
 
-@dataclass(frozen=True)
 class Neighbourhood:
-    """The space around the scene's own camera, at the scale of what it sees.
+    """The space around a scene's own camera, at the scale of what it sees; UserError if that is nothing.
 
     Attributes:
         scene_name, surfaces: of the scene.
@@ -57,21 +56,14 @@ class Neighbourhood:
         share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
     """
 
-    scene_name: str
-    surfaces: Surfaces
-    home: Camera
-    scale: float
-    share: float
-
-    @staticmethod
-    def of(scene: Scene, surfaces: Surfaces, width: int, height: int) -> Neighbourhood:
-        """The neighbourhood of a scene's own camera; UserError if that sees nothing."""
-        home = scene.camera.resized(width, height)
-        scale = surfaces.median_distance(home)
-        if not np.isfinite(scale):
+    def __init__(self, scene: Scene, surfaces: Surfaces, width: int, height: int):
+        self.scene_name, self.surfaces = scene.name, surfaces
+        self.home = scene.camera.resized(width, height)
+        self.scale = surfaces.median_distance(self.home)
+        if not np.isfinite(self.scale):
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
-        tangent = min(width / home.fx, height / home.fy) / 2
-        return Neighbourhood(scene.name, surfaces, home, scale, min(1.0, tangent / _NARROW))
+        tangent = min(width / self.home.fx, height / self.home.fy) / 2
+        self.share = min(1.0, tangent / _NARROW)
 
     @property
     def radius(self) -> float:
@@ -164,7 +156,7 @@ class NearRegion:
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """(N,) whether a viewer can be at points (N, 3)."""
         home = self.scene.camera
-        return Neighbourhood.of(self.scene, self.surfaces, home.width, home.height).contains(points)
+        return Neighbourhood(self.scene, self.surfaces, home.width, home.height).contains(points)
 
     def identity(self) -> dict[str, Any]:
         """What tells it from other regions of the same scene."""
@@ -172,7 +164,7 @@ class NearRegion:
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
         """Views to train on: the scene's own camera and views around it; some of these show the border."""
-        around = Neighbourhood.of(self.scene, self.surfaces, width, height)
+        around = Neighbourhood(self.scene, self.surfaces, width, height)
         border = around.border()[: max(0, count - 1 - _BEFORE_BORDER)]
         first, second = _BEFORE_BORDER, _BEFORE_OUTER
         outer = around.outer(seed)[: max(0, count - 1 - second - len(border))]
@@ -182,7 +174,7 @@ class NearRegion:
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
         """Held-out validation views."""
-        around = Neighbourhood.of(self.scene, self.surfaces, width, height)
+        around = Neighbourhood(self.scene, self.surfaces, width, height)
         return around.spread(count, UNSEEN_SEED + seed)
 
 
@@ -221,7 +213,7 @@ def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View
     Of a scene that moves, they show times half a step from those of training views. Args and raises as in
     `choose_views`.
     """
-    neighbourhood = Neighbourhood.of(scene, scene.surfaces(), width, height)
+    neighbourhood = Neighbourhood(scene, scene.surfaces(), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
     return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
 
@@ -232,7 +224,7 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     Frames have a width and height in pixels; same seed, same views. UserError if the scene's own camera sees
     no surface, or there is no free space for that many views.
     """
-    neighbourhood = Neighbourhood.of(scene, surfaces, width, height)
+    neighbourhood = Neighbourhood(scene, surfaces, width, height)
     fixed = [neighbourhood.home]
     if count > 2 * len(BORDER):
         fixed += neighbourhood.border()
@@ -246,7 +238,7 @@ def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, he
     Args and raises as in `choose_views`.
     """
     shares = np.linspace(0, 1, count)
-    cameras = Neighbourhood.of(scene, surfaces, width, height).path(shares.tolist())
+    cameras = Neighbourhood(scene, surfaces, width, height).path(shares.tolist())
     return ViewSet([], cameras, [0.0 if scene.moving is None else float(share) for share in shares])
 
 

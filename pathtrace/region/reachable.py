@@ -9,7 +9,6 @@ geometry does; where there is sky, the space ends as well.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,9 +61,8 @@ _NEAR = 2.0
 _PATCH = 0.12
 
 
-@dataclass(frozen=True)
 class Measures:
-    """Sizes of the space around a camera, in units of the scene.
+    """Sizes of the space around a scene's own camera, in units of the scene; UserError if it sees no surface.
 
     Attributes:
         size: lower quartile of the distances to surfaces from places that the camera sees.
@@ -75,48 +73,40 @@ class Measures:
         low, high: (3,) corners of the box in which the space lies.
     """
 
-    size: float
-    seen: float
-    reach: float
-    enclosing: float
-    is_open: bool
-    low: Array
-    high: Array
-
-    @staticmethod
-    def of(surfaces: Surfaces, home: Camera) -> Measures | None:
-        """The measures around a camera; None if it sees no surface."""
-        small = home.resized(12, 12)
+    def __init__(self, scene: Scene, surfaces: Surfaces):
+        home, small = scene.camera, scene.camera.resized(12, 12)
         rays = small.rays(small.pixel_centres())
         depth = surfaces.around(home.position[None], rays)[0]
         rays, depth = rays[np.isfinite(depth)], depth[np.isfinite(depth)]
         if not len(depth):
-            return None
+            raise UserError(f"{scene.name}: the scene's own camera sees no surface")
         directions = sphere_directions(_DIRECTIONS)
         places = [home.position + rays * (share * depth)[:, None] for share in (0.25, 0.5, 0.75)]
         around = surfaces.around(np.concatenate(places), directions)
-        size = float(np.quantile(around[np.isfinite(around)], 0.25))
+        self.size = float(np.quantile(around[np.isfinite(around)], 0.25))
+        self.seen = float(np.median(depth))
         whole = surfaces.around(home.position[None], sphere_directions(_DIRECTIONS * 4))
         farthest = float(np.quantile(np.append(whole[np.isfinite(whole)], depth), 0.95))
-        reach, enclosing = _REACH * farthest, _ENCLOSING * farthest
-        is_open = bool(np.mean(whole > enclosing) > _IN_THE_OPEN)
-        margin = _MARGIN * size
+        self.reach, self.enclosing = _REACH * farthest, _ENCLOSING * farthest
+        self.is_open = bool(np.mean(whole > self.enclosing) > _IN_THE_OPEN)
+        margin = _MARGIN * self.size
         low, high = surfaces.bounds
-        low, high = np.minimum(low, home.position - margin), np.maximum(high, home.position + margin)
-        return Measures(size, float(np.median(depth)), reach, enclosing, is_open, low, high)
+        self.low = np.minimum(low, home.position - margin)
+        self.high = np.maximum(high, home.position + margin)
 
 
 class FreeSpace:
-    """The space that can be reached from a camera, given the measures of the space around it.
+    """The space that can be reached from a scene's own camera; UserError as for its `measures`.
 
     Nodes (N, 3) are centres of those of a lattice's cells that can be reached; the camera's own is not among
     them if surfaces are too near. The spacing is the lattice's, the radius the viewer's.
     """
 
-    def __init__(self, surfaces: Surfaces, home: Camera, measures: Measures):
-        self._surfaces, self._home, self._measures = surfaces, home.position, measures
-        self.spacing, self.radius = _SPACING * measures.size, _RADIUS * measures.size
-        self._home_clearance = surfaces.clearance(home.position)
+    def __init__(self, scene: Scene, surfaces: Surfaces):
+        self._surfaces, self._home = surfaces, scene.camera.position
+        self.measures = Measures(scene, surfaces)
+        self.spacing, self.radius = _SPACING * self.measures.size, _RADIUS * self.measures.size
+        self._home_clearance = surfaces.clearance(self._home)
         self._directions = sphere_directions(_DIRECTIONS)
         reached = self._flooded()
         self._reached = np.sort(_key(reached))
@@ -192,13 +182,13 @@ class FreeSpace:
 
     def _is_within(self, nodes: _Nodes) -> Mask:
         """Whether nodes lie where the scene does."""
-        points, limit = self._position(nodes), self._measures
+        points, limit = self._position(nodes), self.measures
         is_near = np.linalg.norm(points - self._home, axis=1) <= limit.reach
         return is_near & (points >= limit.low).all(axis=1) & (points <= limit.high).all(axis=1)
 
     def _is_free(self, nodes: _Nodes) -> Mask:
         """Whether nodes are not too near to surfaces, and not where the scene does not go on."""
-        points, limit = self._position(nodes), self._measures
+        points, limit = self._position(nodes), self.measures
         around = self._surfaces.around(points, self._directions)
         is_open = np.mean(around > limit.enclosing, axis=1) > _OUTSIDE
         is_near = np.linalg.norm(points - self._home, axis=1) <= limit.seen
@@ -242,12 +232,9 @@ class ReachableRegion(DrawnRegion):
     _nothing = "nothing can be seen from the space around the scene's own camera"
 
     def __init__(self, scene: Scene, surfaces: Surfaces):
-        self._scene, self._surfaces = scene, surfaces
-        measures = Measures.of(surfaces, scene.camera)
-        if measures is None:
-            raise UserError(f"{scene.name}: the scene's own camera sees no surface")
-        self.space = FreeSpace(surfaces, scene.camera, measures)
-        self._patch, self._near = _PATCH * measures.size, _NEAR * self.space.radius
+        self._scene, self._surfaces, self._source = scene, surfaces, scene.name
+        self.space = FreeSpace(scene, surfaces)
+        self._patch, self._near = _PATCH * self.space.measures.size, _NEAR * self.space.radius
         if not len(self.space.nodes):
             unit = scene.place.unit
             raise UserError(

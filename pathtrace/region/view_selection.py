@@ -52,7 +52,8 @@ class DrawnRegion(ABC):
     # Side of a patch of surface, and distance of surfaces that are too near to look at.
     _patch: float
     _near: float
-    # What error messages say of all views, and if none shows anything.
+    # What error messages begin with, and say of all views, and if none shows anything.
+    _source: str
     _views: str
     _nothing: str
 
@@ -74,11 +75,8 @@ class DrawnRegion(ABC):
         first, like = self._first(home), self._trained(home)
         viewers = self._drawn(_VIEWERS, home, False, [0, _VIEWING, 0])
         selection = Selection(self._surfaces, self._patch, first.position, (viewers, home))
-
-        def candidates(number: int, round_index: int) -> Looks:
-            return self._drawn(number, like, True, [seed, _TRAINING, round_index])
-
-        return selection.chosen(count, [first], like, candidates)
+        draw = lambda number: self._drawn(_CANDIDATES, like, True, [seed, _TRAINING, number])  # noqa: E731
+        return selection.chosen(count, first, like, draw)
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
         """Held-out validation views: what viewers may see anywhere in the region."""
@@ -87,11 +85,6 @@ class DrawnRegion(ABC):
         if len(looks) < count:
             raise UserError(f"{self._source}: only {len(looks)} of {count} views {self._views} show surfaces")
         return [looks.camera(index, home) for index in range(count)]
-
-    @property
-    def _source(self) -> str:
-        """What error messages begin with."""
-        return self._scene.name
 
     def _drawn(self, count: int, like: Camera, for_training: bool, seeds: list[int]) -> Looks:
         """Up to `count` views that show something, and not only from too near; UserError if there are none.
@@ -127,21 +120,18 @@ class Selection:
         self._asked, pixels = np.unique(patches * _LEVELS + level, return_counts=True)
         self._weight = pixels / max(pixels.sum(), 1)
 
-    def chosen(
-        self, count: int, first: list[Camera], like: Camera, draw: Callable[[int, int], Looks]
-    ) -> list[Camera]:
+    def chosen(self, count: int, first: Camera, like: Camera, draw: Callable[[int], Looks]) -> list[Camera]:
         """Views, best first; the first views are the same whatever their number.
 
-        The `first` are taken without a choice; the others have the intrinsics of `like`, and are chosen from
-        the candidates, at least one, that `draw` gives from a number and the index of the round.
+        The `first` is taken without a choice; the others have the intrinsics of `like`, and are chosen from
+        the candidates, at least one, that `draw` gives for the number of the round.
         """
-        views = list(first[:count])
+        views = [first][:count]
         lacking = self._weight.copy()
-        for camera in views:
-            lacking[self._answered(looks_of([camera]), camera)[0]] *= _AGAIN
+        lacking[self._answered(looks_of([first]), first)[0]] *= _AGAIN
         number = 0
         while len(views) < count:
-            looks = draw(_CANDIDATES, number)
+            looks = draw(number)
             picks = min(_ROUND, len(looks), count - len(views))
             for index in self._best(self._answered(looks, like), len(looks), picks, lacking):
                 views.append(looks.camera(index, like))

@@ -3,44 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera
-from pathtrace.region.camera_path import PathRegion, read_path
-from pathtrace.region.looks import upright
+from pathtrace.region.camera_path import PathRegion
 from pathtrace.region.neighbourhood import NearRegion
 from pathtrace.region.reachable import ReachableRegion
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 
 NEAR, REACHABLE = "near", "reachable"
-
-
-class ViewingRegion(Protocol):
-    """A part of a scene's free space. Points and cameras are in the scene's coordinates."""
-
-    @property
-    def name(self) -> str:
-        """What users call it: near, reachable, or the name of a file."""
-
-    def contains(self, points: Array) -> NDArray[np.bool_]:
-        """(N,) whether a viewer can be at points (N, 3)."""
-
-    def identity(self) -> dict[str, Any]:
-        """What tells it from other regions of the same scene, as JSON."""
-
-    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on, of a size in pixels; UserError if there is no free space for them.
-
-        The first of them are the same whatever their number; same seed, same views.
-        """
-
-    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Held-out validation views, drawn apart from those to train on; otherwise as `views`."""
+# A part of a scene's free space; points and cameras are in the scene's coordinates. Its name is what users
+# call it: near, reachable, or the name of a file. Its identity is JSON. Views have a size in pixels, and the
+# same seed gives the same ones; the first of those to train on are the same whatever their number. Those for
+# validation are drawn apart from them. Without free space for views, there is a UserError.
+ViewingRegion = NearRegion | ReachableRegion | PathRegion
 
 
 def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
@@ -58,4 +34,4 @@ def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
     file = Path(given)
     if not file.suffix and not file.exists():
         raise UserError(f"region {given!r}: must be {NEAR}, {REACHABLE} or the file of a camera's path")
-    return PathRegion(scene, surfaces, read_path(file, upright(scene.camera)), str(file))
+    return PathRegion(scene, surfaces, file)

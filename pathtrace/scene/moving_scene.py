@@ -27,7 +27,7 @@ from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, RigidTrack, S
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
 
-_POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
+_POSITIONS, _NORMALS = "vertex_positions", "vertex_normals"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
 _STEPS = 129
 # Meshes of fewer vertices, such as a quad's four, are taken to pieces with as many points on their faces.
@@ -182,9 +182,14 @@ class _Tracked:
             return self._deforming_mesh(name, key, self.deforming(name, rest, track))
         if not isinstance(track, RigidTrack):
             raise self._refused(name, "it has no vertices; must have keyframes")
-        for kind in (_TO_WORLD, _POSITION):
-            if self._has(f"{key}.{kind}"):
-                return self._rigid(f"{key}.{kind}", track)
+        # Shapes and lights without vertices.
+        to_world, position = f"{key}.to_world", f"{key}.position"
+        if self._has(to_world):
+            matrix = np.array(self._parameters[to_world].matrix, dtype=np.float64).reshape(4, 4)
+            return lambda time: {to_world: self.pose(track, time) @ matrix}
+        if self._has(position):
+            point = np.ravel(self._parameters[position]).astype(np.float64)
+            return lambda time: {position: (self.pose(track, time) @ [*point, 1])[:3]}
         raise self._refused(name, "it has no place that could change")
 
     def _deforming_mesh(self, name: str, key: str, at: Callable[[float], Array]) -> _Part:
@@ -215,15 +220,6 @@ class _Tracked:
             return moved
 
         return at
-
-    def _rigid(self, key: str, track: RigidTrack) -> _Part:
-        """For shapes and lights without vertices."""
-        rest = self._parameters[key]
-        if key.endswith(_POSITION):
-            point = np.ravel(rest).astype(np.float64)
-            return lambda time: {key: (self.pose(track, time) @ [*point, 1])[:3]}
-        matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
-        return lambda time: {key: self.pose(track, time) @ matrix}
 
     def deforming(self, name: str, rest: Array, track: Formula | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""

@@ -36,7 +36,7 @@ def with_thin_glass(scene: Any) -> int:
     panes = pane_shapes(scene)
     for shape in panes:
         if not _is_thin(shape):
-            shape.set_bsdf(_thin(shape.bsdf(), _faces(shape)))
+            shape.set_bsdf(_thin(shape.bsdf(), pane_faces(triangles_of(shape))))
     return len(panes)
 
 
@@ -52,21 +52,16 @@ def _is_thin(shape: Any) -> bool:
 def _can_be_thin(shape: Any) -> bool:
     if shape.bsdf().class_name() != "SmoothDielectric" or shape.is_medium_transition():
         return False
-    faces = _faces(shape)
+    faces = pane_faces(triangles_of(shape))
     return faces > 0 and _thin(shape.bsdf(), faces) is not None
 
 
-def pane_faces(triangles: Array) -> int:
+def pane_faces(triangles: Array | None) -> int:
     """Faces of each connected part of triangles (M, 3, 3), if all are panes: 2, 1 for sheets, else 0."""
-    if not len(triangles):
+    if triangles is None or not len(triangles):
         return 0
     faces = {_part_faces(part) for part in _parts(triangles)}
     return faces.pop() if len(faces) == 1 else 0
-
-
-def _faces(shape: Any) -> int:
-    triangles = triangles_of(shape)
-    return 0 if triangles is None else pane_faces(triangles)
 
 
 def _parts(triangles: Array) -> list[Array]:

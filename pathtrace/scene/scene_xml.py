@@ -10,7 +10,7 @@ import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,32 +65,25 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
 
 
-@dataclass
 class References:
     """What the XML of a scene, and of the files that it includes, refers to.
 
     These are names of files in the order of the XML, parameters replaced, which may not exist, with the
     folder of the XML that names them; folders of `<path>`, in which Mitsuba looks for them besides that and
     the scene's; and types of all elements.
+
+    They are found from the scene's XML file and the elements of that. UserError if an included file is not
+    well-formed, includes form a loop or are too many, or parameters stand for too much text.
     """
 
-    source: Path
-    names: list[tuple[str, Path]] = field(default_factory=list)
-    folders: list[Path] = field(default_factory=list)
-    plugins: set[str] = field(default_factory=set)
-    _parameters: dict[str, str] = field(default_factory=dict)
-    _includes: int = 0
-
-    @staticmethod
-    def of(source: Path, root: ET.Element) -> References:
-        """The references of a scene, from its XML file and the elements of that.
-
-        UserError if an included file is not well-formed, includes form a loop or are too many, or parameters
-        stand for too much text.
-        """
-        found = References(source)
-        found._collect(root, source.parent, 0)
-        return found
+    def __init__(self, source: Path, root: ET.Element):
+        self.source = source
+        self.names: list[tuple[str, Path]] = []
+        self.folders: list[Path] = []
+        self.plugins: set[str] = set()
+        self._parameters: dict[str, str] = {}
+        self._includes = 0
+        self._collect(root, source.parent, 0)
 
     def candidates(self, name: str, beside: Path) -> Iterator[Path]:
         """Files that a name in a file of a folder may stand for.
@@ -252,7 +245,7 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
     hides = any((flag.get("value") or "").strip().lower() == "true" for flag in flags)
     for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
         root.remove(element)
-    references = References.of(path, root)
+    references = References(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(content, root, references)
     balance_xml(root)

@@ -46,12 +46,7 @@ def balanced_dictionary(description: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def _register() -> None:
-    """Makes the plugin known to the variant, of which a process has one."""
-    mi.register_emitter(PLUGIN, _emitter_class())
-
-
-def _emitter_class() -> type[Any]:
-    """The emitter's class in the selected variant."""
+    """Makes the plugin known to the selected variant, of which a process has one."""
 
     class BalancedSunSky(mi.Emitter):  # type: ignore[misc]
         """A sun and a sky, and the share of samples that the sun gets."""
@@ -97,7 +92,7 @@ def _emitter_class() -> type[Any]:
         def to_string(self) -> str:
             return f"BalancedSunSky[share={self.share:.3f}]"
 
-    return BalancedSunSky
+    mi.register_emitter(PLUGIN, BalancedSunSky)
 
 
 def _parts(properties: Any) -> tuple[Any, Any]:

@@ -38,20 +38,17 @@ def triangles_of(shape: Any) -> Array | None:
 def _unit_shape(kind: str) -> tuple[Array, NDArray[np.int32]] | None:
     """Vertices (V, 3) and triangles (M, 3) of an analytic shape in its own coordinates."""
     turn = np.linspace(0, 2 * np.pi, _CIRCLE_STEPS + 1)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    zero, one = np.zeros((len(turn), 1)), np.ones((len(turn), 1))
+    rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     if kind == "Rectangle":
         corners = np.array([[-1, -1, 0], [1, -1, 0], [-1, 1, 0], [1, 1, 0]], dtype=np.float64)
         return corners, _grid_triangles(2, 2)
     if kind == "Disk":
-        rim = np.hstack([circle, zero])
         return np.concatenate([rim * 0, rim]), _grid_triangles(2, len(turn))
     if kind == "Cylinder":
-        rim = np.hstack([circle, zero])
-        return np.concatenate([rim, rim + np.hstack([zero, zero, one])]), _grid_triangles(2, len(turn))
+        return np.concatenate([rim, rim + np.array([0, 0, 1])]), _grid_triangles(2, len(turn))
     if kind == "Sphere":
         polar = np.linspace(0, np.pi, _SPHERE_RINGS)[:, None]
-        ring = [np.sin(polar) * circle[:, 0], np.sin(polar) * circle[:, 1], np.cos(polar) + 0 * turn]
+        ring = [np.sin(polar) * rim[:, 0], np.sin(polar) * rim[:, 1], np.cos(polar) + 0 * turn]
         return np.stack(ring, axis=-1).reshape(-1, 3), _grid_triangles(_SPHERE_RINGS, len(turn))
     return None
 
@@ -126,9 +123,8 @@ class Surfaces:
     def around(self, points: Array, directions: Array) -> Array:
         """(N, M) distance from each of N points (N, 3) along each of M directions (M, 3)."""
         origins = np.repeat(points, len(directions), axis=0)
-        return self.distance(origins, np.tile(directions, (len(points), 1))).reshape(
-            len(points), len(directions)
-        )
+        distance = self.distance(origins, np.tile(directions, (len(points), 1)))
+        return distance.reshape(len(points), len(directions))
 
     def are_joined(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
         """(N,) whether no surface lies on the straight lines between points (N, 3) and (N, 3)."""

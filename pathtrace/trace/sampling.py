@@ -162,20 +162,17 @@ class Lanes:
             used = dr.arange(mi.UInt32, self.count)
             return [dr.gather(mi.Float, channel, used) for channel in channels]
         each = constant(mi.UInt32, self.spp) if isinstance(self.spp, int) else mi.UInt32(self.spp.each)
-        return _runs_summed(channels, self.first, self.first + each)
+        end = self.first + each
 
+        def add(lane: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
+            values = (mi.Float64(dr.gather(mi.Float, channel, lane)) for channel in channels)
+            return lane + 1, [total + value for total, value in zip(sums, values, strict=True)]
 
-def _runs_summed(channels: list[Any], first: Any, end: Any) -> list[Any]:
-    """(N,) sums of each channel over N runs of lanes, from `first` up to `end`, in one kernel."""
-
-    def add(lane: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
-        values = (mi.Float64(dr.gather(mi.Float, channel, lane)) for channel in channels)
-        return lane + 1, [total + value for total, value in zip(sums, values, strict=True)]
-
-    # In float32, the sum of thousands of samples would lose the last ones' digits.
-    state = first, [mi.Float64(0) for _ in channels]
-    _, sums = dr.while_loop(state, lambda lane, sums: lane < end, add, mode="symbolic")
-    return [mi.Float(total) for total in sums]
+        # In float32, the sum of thousands of samples would lose the last ones' digits.
+        state = self.first, [mi.Float64(0) for _ in channels]
+        # All runs of lanes in one kernel.
+        _, sums = dr.while_loop(state, lambda lane, sums: lane < end, add, mode="symbolic")
+        return [mi.Float(total) for total in sums]
 
 
 @dataclass(frozen=True)

@@ -35,21 +35,14 @@ class TracedImage:
 
 
 def trace_image(
-    tracer: Tracer,
-    camera: Camera,
-    positions: FilmPositions,
-    columns: int,
-    spp: int,
-    seed: int,
-    least_auxiliary: int = 0,
+    tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, seed: int
 ) -> TracedImage:
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
     There are H * W film positions in the camera's coordinates, row by row from the top, in W columns.
-    Auxiliary features, which guide the denoiser, have at least as many samples as `least_auxiliary`. Same
-    seed, same image.
+    Auxiliary features guide the denoiser. Same seed, same image.
     """
-    traced, features = tracer.trace_with_features(camera, positions, spp, seed, least_auxiliary)
+    traced, features = tracer.trace_with_features(camera, positions, spp, seed)
     channels = traced.radiance, features.albedo, features.normal
     return TracedImage(*(_image(image, columns) for image in channels))
 

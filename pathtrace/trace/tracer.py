@@ -175,10 +175,10 @@ class Tracer:
         return Traced(means[:3], means[3:6], found)
 
     def trace_with_features(
-        self, camera: Camera, positions: FilmPositions, spp: int, seed: int, least: int = 0
+        self, camera: Camera, positions: FilmPositions, spp: int, seed: int
     ) -> tuple[Traced, AuxiliaryFeatures]:
-        """`trace`, and auxiliary features of as many samples as go with `spp`, or `least` if that is more."""
-        wanted = max(auxiliary_spp(spp), least)
+        """`trace`, and auxiliary features of as many samples as go with `spp`."""
+        wanted = auxiliary_spp(spp)
         traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
         if traced.features is None:
             return traced, self.auxiliary(camera, positions, wanted, seed)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.light_selection import light_numbers
-from pathtrace.fill.gather import SAMPLES, Followed, followed, lit, stratified, surface_at
+from pathtrace.fill.gather import SAMPLES, Followed, followed, lit, stratified, surfaces_at
 
 pytestmark = pytest.mark.usefixtures("backend")
 COUNT = 40000
@@ -24,7 +24,7 @@ def scene(**parts: dict[str, Any]) -> Any:
 def points(position: Any, normal: Any = UP, count: int = COUNT) -> Any:
     """The same point many times, or (N, 3) points."""
     place, side = (np.broadcast_to(np.float32(given), (count, 3)) for given in (position, normal))
-    return surface_at(mi.Point3f(place.T), mi.Normal3f(side.T))
+    return surfaces_at((mi.Point3f(place.T), mi.Normal3f(side.T)), dr.arange(mi.UInt32, count))
 
 
 def random(seed: int, lanes: int = COUNT) -> Any:

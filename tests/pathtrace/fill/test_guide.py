@@ -32,7 +32,7 @@ def test_half_of_the_guided_rays_go_where_light_came_from():
     region = np.repeat([0, 1], 4000)
     square = even_squares(4000, 2, small.rng())
     # The second region is dark.
-    guide = Guide.of(region, square, np.where(region == 0, light(square), 0))
+    guide = Guide(region, square, np.where(region == 0, light(square), 0))
     found = guide.squares(region, small.rng(1))
     assert ((found >= 0) & (found < 1)).all()
     assert found.dtype == np.float32
@@ -46,7 +46,7 @@ def test_half_of_the_guided_rays_go_where_light_came_from():
 
 def test_weights_are_those_of_the_balance_heuristic():
     region, square = np.zeros(3, dtype=np.int64), np.float32([[0.05, 0.05], [0.3, 0.9], [0.9, 0.9]])
-    guide = Guide.of(region, square, np.float32([3, 1, 0]))
+    guide = Guide(region, square, np.float32([3, 1, 0]))
     expected = [2 / (1.5 + 0.5 * 64 * share) for share in (0.75, 0.25, 0)]
     np.testing.assert_allclose(guide.weights(region, square), expected, rtol=1e-6)
     # Each ray as if it had brought nothing.
@@ -57,7 +57,7 @@ def test_weights_are_those_of_the_balance_heuristic():
 
 def test_a_ray_alone_with_its_light_has_the_weight_of_an_even_one():
     region, square, brought = np.zeros(1, dtype=np.int64), np.float32([[0.5, 0.5]]), np.float32([0.1])
-    np.testing.assert_allclose(Guide.of(region, square, brought).weights(region, square, brought), 1)
+    np.testing.assert_allclose(Guide(region, square, brought).weights(region, square, brought), 1)
 
 
 def estimates(seed: int) -> np.ndarray:
@@ -65,7 +65,7 @@ def estimates(seed: int) -> np.ndarray:
     random, region = small.rng(seed), region_of_rays()
     even = even_squares(REGIONS * RAYS, 1, random)
     brought = light(even)
-    guide = Guide.of(region, even, brought)
+    guide = Guide(region, even, brought)
     guided = guide.squares(region, random)
     parts = guide.weights(region, even, brought) * brought + guide.weights(region, guided) * light(guided)
     return np.bincount(region, parts) / (2 * RAYS)
@@ -83,6 +83,6 @@ def test_means_stay_what_they_are_and_noise_falls():
 
 def test_without_rays_there_is_no_guide():
     nothing = np.zeros(0, dtype=np.int64)
-    guide = Guide.of(nothing, np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+    guide = Guide(nothing, np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
     assert guide.squares(nothing, small.rng()).shape == (0, 2)
     assert guide.weights(nothing, np.zeros((0, 2), np.float32)).shape == (0,)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Cells, Grid, Points
-from pathtrace.cache.light_selection import LightSamples
-from pathtrace.fill.gather import Direct, Seen
+from pathtrace.fill.gather import Seen
 from pathtrace.fill.guiding import GuidedPlaces, shuffled
 from tests import small
 
@@ -24,10 +23,7 @@ def places() -> GuidedPlaces:
     points = Points(position, np.tile(np.float32([0, 1, 0]), (COUNT, 1)))
     grid = Grid(np.zeros(3, dtype=np.float32), 1.0)
     cells = Cells.of(points, grid, lambda one, other, side: np.ones(len(one), dtype=bool))
-    nothing = LightSamples(np.zeros(0, int), np.zeros(0, int), np.zeros(0, np.float32))
-    return GuidedPlaces.of(
-        points, cells, Direct(random.uniform(0, 1, (COUNT, 3)).astype(np.float32), nothing)
-    )
+    return GuidedPlaces(points, cells, random.uniform(0, 1, (COUNT, 3)).astype(np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +55,7 @@ def test_light_of_mirrors_is_pi_times_the_weighted_mean_of_the_rays(places, seen
         np.testing.assert_allclose(found.reflected[region], expected, rtol=1e-5)
     np.testing.assert_allclose(found.rays.weight, np.pi / RAYS * weight[seen.shiny], rtol=1e-6)
     np.testing.assert_array_equal(found.rays.point, seen.point[seen.shiny])
-    np.testing.assert_allclose(found.direct.sum(axis=0), places.direct.irradiance.sum(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(found.direct.sum(axis=0), places.direct.sum(axis=0), rtol=1e-5)
 
 
 def test_shares_follow_the_number_of_mirrors(places, seen):

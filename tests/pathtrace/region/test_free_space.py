@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.region.reachable import FreeSpace, Measures, ReachableRegion
+from pathtrace.region.reachable import FreeSpace, ReachableRegion
 from pathtrace.scene.scene import load_scene
 from pathtrace.scene.triangles import Surfaces
 from tests.pathtrace.region import boxes
@@ -15,8 +15,7 @@ pytestmark = pytest.mark.usefixtures("backend")
 
 def space_of(description: dict) -> FreeSpace:
     scene = load_scene(description)
-    surfaces = Surfaces(scene)
-    return FreeSpace(surfaces, scene.camera, Measures.of(surfaces, scene.camera))
+    return FreeSpace(scene, Surfaces(scene))
 
 
 def test_a_room_is_filled_to_its_corners(reachable):

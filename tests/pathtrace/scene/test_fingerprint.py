@@ -14,7 +14,7 @@ def of_file(folder, root: str) -> str:
     file = folder / "scene.xml"
     file.write_text("<scene/>")
     elements = ET.fromstring(root)
-    return file_fingerprint(file, elements, References.of(file, elements))
+    return file_fingerprint(file.read_bytes(), elements, References(file, elements))
 
 
 def test_it_is_the_sha256_of_the_file_and_of_those_that_it_names(tmp_path):
