@@ -75,15 +75,13 @@ def demo(
     json_file: o.Json = None,
 ) -> None:
     """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
-    from hybrid.render.image_files import check_writable
-
     o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
     settings = FrameSettings(
         INTERACTIVE.gaze, fov_a, fov_b, spp, acuity_model=acuity_model, display=display, integrator=integrator
     )
-    check_writable(out / "picture.png")
+    o.check_writable(out / "picture.png")
     trace = _trace(gaze_trace, simulate, settings, size, seed)
     from hybrid.window.qt_check import require_window
 

@@ -55,13 +55,11 @@ def evaluate(
     json_file: o.Json = None,
 ) -> None:
     """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
-    from hybrid.render.image_files import check_writable
-
     frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
     o.require_size(size)
     settings.require_measurable()
-    check_writable(report / "index.html")
+    o.check_writable(report / "index.html")
     o.select(backend)
     from hybrid.api.evaluation_report import evaluate as run
     from hybrid.base.identity import require_scene

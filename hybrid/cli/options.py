@@ -36,15 +36,20 @@ MOST_GAUSSIANS = 100_000_000
 _MOST_SIDE = 16_384
 
 
+def check_writable(path: Path | None) -> None:
+    """Refuses a file, if one is asked for, before long work if it cannot be written."""
+    if path is not None:
+        from hybrid.render import image_files
+
+        image_files.check_writable(path)
+
+
 def _writable(path: Path | None) -> Path | None:
     """The file of `--json`; refused before long work if it cannot be written."""
-    if path is not None:
-        from hybrid.render.image_files import check_writable
-
-        try:
-            check_writable(path)
-        except UserError as error:
-            raise UserError(f"--json {error}") from error
+    try:
+        check_writable(path)
+    except UserError as error:
+        raise UserError(f"--json {error}") from error
     return path
 
 

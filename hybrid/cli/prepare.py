@@ -59,10 +59,8 @@ def prepare(
     o.select(backend)
     from hybrid.preparation.decisions import REGION
     from hybrid.preparation.preparation import prepare as run
-    from hybrid.render.image_files import check_writable
 
-    if forest is not None:
-        check_writable(forest)
+    o.check_writable(forest)
     loaded = o.planned_scene(scene, max_depth, thin_glass, override)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
     prepared = run(loaded, settings, progress_bar, started=started)

@@ -214,8 +214,6 @@ def _check_layers(layers: tuple[int, int] | None) -> None:
 
 def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_video: bool) -> None:
     """Refuses files that cannot be written, and frames that they cannot hold, before the work begins."""
-    from hybrid.render.image_files import check_writable
-
     kinds = (".mp4",) if is_video else (".exr", ".png")
     if output.suffix.lower() not in kinds:
         of_what = " of a gaze trace" if is_video else ""
@@ -227,8 +225,7 @@ def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_vid
     if eyes is not None and (is_video or detail is not None):
         raise UserError("--eyes: only for a single frame, without --detail")
     for file in (output, detail):
-        if file is not None:
-            check_writable(file)
+        o.check_writable(file)
 
 
 def _loaded_trace(

@@ -94,12 +94,11 @@ def sweep(
 def _check_report(folder: Path, scene: str) -> None:
     """Refuses a report that this sweep does not belong to, or that cannot be written."""
     from hybrid.evaluation.evaluation_page import evaluated_scene
-    from hybrid.render.image_files import check_writable
 
     evaluated = evaluated_scene(folder)
     if evaluated != scene:
         raise UserError(f"--report {folder}: holds an evaluation of {evaluated}, not of {scene}")
-    check_writable(folder / "index.html")
+    o.check_writable(folder / "index.html")
 
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:

@@ -75,7 +75,6 @@ def train(
     from hybrid.preparation.fusion_training import fusion_verdicts
     from hybrid.preparation.held_out import held_out_quality
     from hybrid.preparation.training_views import motion_for, read_frames
-    from hybrid.render.image_files import check_writable
     from pathtrace.dataset.posed_images import PosedFolder
 
     shape = {"gaussians": gaussians, "layers": layers, "degree": degree}
@@ -86,7 +85,7 @@ def train(
     found = read_frames(frames)
     with o.user_errors(), o.option_names("motion", "labels"):
         settings = planned_settings(found, **given, motion=motion_for(found, motion, labels), labels=labels)
-    check_writable(forest)
+    o.check_writable(forest)
     if isinstance(found, PosedFolder):
         _print_folder(found, settings.motion)
     start = time.perf_counter()
