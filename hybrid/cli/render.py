@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from compose.base.errors import UserError, one_line
+from compose.base.files import read_json
+from compose.camera.camera import Camera
+from compose.camera.coordinate_systems import camera_from_json
+from compose.eye.gaze import MOST_SECONDS, AngularTrace, GazeTrace, load_gaze_trace
+from compose.fovea.foveation import FoveaMode
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.cli.render_frames import (
@@ -23,8 +28,6 @@ from hybrid.cli.target import TradeTarget, measuring_command
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
-    from compose.camera.camera import Camera
-    from compose.eye.gaze import AngularTrace, GazeTrace
     from hybrid.render.frame import Frame
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
@@ -169,7 +172,6 @@ def render(
             facts = render_splats(output, detail, eyes, splats, settings)
         o.write_json(json_file, {"scene": images.scene_name, **facts})
         return
-    from compose.fovea.foveation import FoveaMode
     from hybrid.preparation.decisions import DENOISING, RAW
     from hybrid.preparation.preparation import with_forest
 
@@ -232,7 +234,6 @@ def _loaded_trace(
     file: Path | None, gaze: tuple[float, float] | None, fps: int | None, is_path: bool
 ) -> GazeTrace | AngularTrace | None:
     """The gaze trace, if there is one; a video along a path may have none."""
-    from compose.eye.gaze import MOST_SECONDS, load_gaze_trace
     from hybrid.render.video import MOST_FRAMES
 
     if file is None:
@@ -257,9 +258,6 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
 
 def _read_camera(file: Path) -> Camera:
     """The camera of a file, in the world."""
-    from compose.base.files import read_json
-    from compose.camera.coordinate_systems import camera_from_json
-
     try:
         return camera_from_json(read_json(file))
     except OSError as error:

@@ -11,6 +11,7 @@ import typer
 from compose.base.errors import UserError
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
+from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort, sweep_named
 from hybrid.render.frame_settings import SWEEP, FrameSettings
 
 
@@ -48,8 +49,6 @@ def sweep(
     acuity. In radius, spp, view and trade, only the ratio of --fov-a and --fov-b matters. Only band, layers,
     acuity, denoiser and trade use --reference-spp.
     """
-    from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort, sweep_named
-
     for name in sweep_named(over, (1,)).ignored:
         if o.given(context, name):
             option = f"--{name.replace('_', '-')}"
