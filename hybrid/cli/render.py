@@ -155,7 +155,10 @@ def render(
     _check_outputs(output, detail, eyes, gaze_trace is not None or is_path)
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
-        _check_measured({"--layers": layers, "--max-depth": max_depth})
+        # Nothing that could be chosen for a target is measured with these.
+        for option, value in (("--layers", layers), ("--max-depth", max_depth)):
+            if value is not None:
+                raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
     o.select(backend)
     if is_folder:
         from pathtrace.dataset.posed_layouts import read_posed_folder
@@ -197,13 +200,6 @@ def render(
             output, loaded, found, settings, trace.on(settings.display, *pixels), fps or _FPS, seed
         )
     o.write_json(json_file, facts)
-
-
-def _check_measured(options: dict[str, Any]) -> None:
-    """Refuses options with which no settings are measured, and thus none can be chosen for a target."""
-    for option, value in options.items():
-        if value is not None:
-            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
 
 
 def _check_layers(layers: tuple[int, int] | None) -> None:
