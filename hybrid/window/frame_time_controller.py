@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+
+import numpy as np
 
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import FrameSettings
@@ -33,7 +33,7 @@ class FrameTimeController:
 
     def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
         times = [one.milliseconds for one in ladder]
-        if not ladder or any(after <= before for before, after in pairwise(times)):
+        if not ladder or np.any(np.diff(times) <= 0):
             raise ValueError("a ladder requires settings, each slower than the one before it")
         if not target > 0:
             raise ValueError(f"target of {target} ms: must be positive")
@@ -77,14 +77,7 @@ class FrameTimeController:
 
     def _affordable(self) -> float:
         """The highest position at which frames are expected to meet the target."""
-        budget = _PLANNED * self.target / self.load
-        above = bisect_right(self._times, budget)
-        if above == 0:
-            return 0.0
-        if above == len(self._times):
-            return float(above - 1)
-        before, after = self._times[above - 1], self._times[above]
-        return above - 1 + (budget - before) / (after - before)
+        return float(np.interp(_PLANNED * self.target / self.load, self._times, np.arange(len(self._times))))
 
 
 def applied(choice: MeasuredSettings, requested: FrameSettings) -> FrameSettings:
