@@ -173,17 +173,12 @@ def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Im
     """JOD, or SSIM without FovVideoVDP, of a view's first frame for a viewer with the settings' gaze."""
     source.forget()
     own = replace(settings, camera=view.camera, time=view.time)
-    composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.camera)
+    composite = source.show(Request(own), quick=True).frame.composite
+    size = view.camera.width, view.camera.height
+    if composite.shape[1::-1] != size:
+        # At the window's resolution, as the window shows it.
+        channels = (Pillow.fromarray(channel) for channel in np.moveaxis(composite, 2, 0))
+        enlarged = [np.asarray(channel.resize(size, Pillow.Resampling.BILINEAR)) for channel in channels]
+        composite = np.stack(enlarged, axis=2)
     found = jod(composite, truth, settings.display, settings.gaze)
     return ssim(composite, truth) if found is None else found
-
-
-def _enlarged(image: Image, camera: Camera) -> Image:
-    """(H, W, 3) image at the window's resolution, as the window shows it."""
-    size = camera.width, camera.height
-    if image.shape[1::-1] == size:
-        return image
-    planes = [
-        Pillow.fromarray(plane).resize(size, Pillow.Resampling.BILINEAR) for plane in np.moveaxis(image, 2, 0)
-    ]
-    return np.stack([np.asarray(plane) for plane in planes], axis=2)
