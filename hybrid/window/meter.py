@@ -122,10 +122,9 @@ def steadiness(
     outside = [ms for at, ms in frames if not begin <= at <= end + _RECOVERY]
     after = [ms for at, ms in frames if end < at <= end + _RECOVERY]
     under_load = [ms for at, ms in frames if begin <= at <= end]
-    if outside:
-        found["kept"] = _share_kept(outside, fps)
-    if after:
-        found["kept_after_load"] = _share_kept(after, fps)
+    for name, times in (("kept", outside), ("kept_after_load", after)):
+        if times:
+            found[name] = float(np.mean([abs(ms * fps / 1000 - 1) <= _TOLERANCE for ms in times]))
     if under_load:
         found |= {"loaded_s": [begin, end], "ms_under_load": float(np.median(under_load))}
     return found
@@ -147,7 +146,3 @@ def summary(found: dict[str, Any]) -> str:
     if "ms_under_load" in target:
         line += f"; {target['ms_under_load']:.0f} ms under load"
     return line
-
-
-def _share_kept(milliseconds: list[float], fps: float) -> float:
-    return float(np.mean([abs(ms * fps / 1000 - 1) <= _TOLERANCE for ms in milliseconds]))
