@@ -102,23 +102,19 @@ class MainWindow(QMainWindow):
         self.statusBar().setFixedHeight(bar.sizeHint().height())
         self._settling = QTimer(self, interval=_SETTLE, singleShot=True)
         self._timer = QTimer(self, interval=_REST)
-        self._connect()
-        self._timer.start()
-        thread.start()
-
-    def _connect(self) -> None:
-        thread, canvas = self._thread, self.canvas
         thread.progress.connect(self._on_progress)
         thread.ready.connect(self._on_ready)
         thread.arrived.connect(self._on_frame)
         thread.saved.connect(self._say)
         thread.failed.connect(self._on_failure)
-        canvas.gazed.connect(self._on_gaze)
-        canvas.dragged.connect(self._on_drag)
-        canvas.painted.connect(self._on_painted)
-        canvas.resized.connect(self._settling.start)
+        self.canvas.gazed.connect(self._on_gaze)
+        self.canvas.dragged.connect(self._on_drag)
+        self.canvas.painted.connect(self._on_painted)
+        self.canvas.resized.connect(self._settling.start)
         self._settling.timeout.connect(self._on_settled)
         self._timer.timeout.connect(self.tick)
+        self._timer.start()
+        thread.start()
 
     def tick(self) -> None:
         """Walks as far as keys are held, and asks for the frame that this and the gaze call for."""
