@@ -17,8 +17,6 @@ from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
 
-_WARM_UP = 5
-
 
 def raster(
     gaussians: Annotated[int, typer.Option(min=1, max=o.MOST_GAUSSIANS)] = 50_000,
@@ -35,7 +33,7 @@ def raster(
     from hybrid.bench.raster_bench import bench_raster
 
     with progress_bar("bench (rounds)") as bar:
-        row = bench_raster(gaussians, size, seed, repeats, _WARM_UP, bar)
+        row = bench_raster(gaussians, size, seed, repeats, warm_up=5, progress=bar)
     for name in ("forward", "backward"):
         times = row[f"{name}_ms"]
         print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")

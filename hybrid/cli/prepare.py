@@ -13,8 +13,6 @@ import typer
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 
-_MOST_VIEWS = 10_000
-
 
 def prepare(
     scene: o.SceneName,
@@ -30,7 +28,7 @@ def prepare(
     ] = None,
     region: o.RegionName = None,
     held_out: Annotated[
-        int, o.measurement(help="Held-out validation views; their time is not counted.", max=_MOST_VIEWS)
+        int, o.measurement(help="Held-out validation views; their time is not counted.", max=10_000)
     ] = 4,
     size: o.FixedSize = (256, 256),
     max_depth: o.MaxDepth = None,

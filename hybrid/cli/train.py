@@ -16,15 +16,11 @@ from splat.model.choices import Labels, MotionModel, Precision
 if TYPE_CHECKING:
     from pathtrace.dataset.posed_images import PosedFolder
 
-_MOST_ITERATIONS = 10_000_000
-
 
 def train(
     frames: o.FramesFolder,
     forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Forest file to write.")],
-    iterations: Annotated[
-        int, typer.Option(help="Optimizer steps over all layers.", max=_MOST_ITERATIONS)
-    ] = 3000,
+    iterations: Annotated[int, typer.Option(help="Optimizer steps over all layers.", max=10_000_000)] = 3000,
     gaussians: Annotated[
         int | None,
         typer.Option(
