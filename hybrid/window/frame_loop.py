@@ -219,12 +219,17 @@ def _measured(
 ) -> list[MeasuredSettings]:
     wanted = candidates(base, source.layers)
     report(0, len(wanted) + 1, _ACTIVITY)
-    views = _held_out(source, camera)
+    # Views that training has not seen, at the window's resolution, with their radiance (H, W, 3).
+    views, renderer = [], source.renderer
+    for number, view in enumerate(unseen_views(renderer.scene, _VIEWS, camera.width, camera.height)):
+        renderer.scene.show(view.time)
+        truth = reference(renderer.tracer, view.camera, _REFERENCE_SPP, REFERENCE_SEED + number)
+        views.append((view, truth.radiance))
     measured = []
     for number, settings in enumerate(wanted):
         report(number + 1, len(wanted) + 1, _ACTIVITY)
         milliseconds = _median_time(source, settings)
-        quality = float(np.mean([_quality(source, settings, *view) for view in views]))
+        quality = float(np.mean([_quality(source, settings, *judged) for judged in views]))
         measured.append(MeasuredSettings(settings, milliseconds, quality))
     report(len(wanted) + 1, len(wanted) + 1, _ACTIVITY)
     source.forget()
@@ -239,16 +244,6 @@ def _median_time(source: FrameSource, settings: FrameSettings) -> float:
         source.show(Request(replace(settings, gaze=gaze)), quick=True)
         times.append((time.perf_counter() - start) * 1000)
     return float(np.median(times[_WARM_UP:]))
-
-
-def _held_out(source: FrameSource, camera: Camera) -> list[tuple[View, Image]]:
-    """Views that training has not seen, at the window's resolution, with their radiance (H, W, 3)."""
-    renderer, found = source.renderer, []
-    for number, view in enumerate(unseen_views(renderer.scene, _VIEWS, camera.width, camera.height)):
-        renderer.scene.show(view.time)
-        truth = reference(renderer.tracer, view.camera, _REFERENCE_SPP, REFERENCE_SEED + number)
-        found.append((view, truth.radiance))
-    return found
 
 
 def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
