@@ -146,17 +146,15 @@ class FrameLoop:
             if not again:
                 self._controller.took((end - start) * 1000)
             if quick:
-                self._pace(end, request.target_fps, self._controller)
+                # An early frame is held back, since a steady rate is wanted.
+                time.sleep(max(0.0, self._returned + 1 / request.target_fps - end))
+                # As late as the next frame can begin and still be ready one period after this one: its gaze
+                # is newest then.
+                spare = 1000 / request.target_fps - self._controller.expected
+                self.due = time.perf_counter() + spare / 1000
         self._returned = time.perf_counter()
         self.idle = shown.finished
         return shown
-
-    def _pace(self, end: float, target_fps: float, controller: FrameTimeController) -> None:
-        """Holds an early frame back, since a steady rate is wanted, and sets when the next one is due."""
-        time.sleep(max(0.0, self._returned + 1 / target_fps - end))
-        # As late as the next frame can begin and still be ready one period after this one: its gaze is
-        # newest then.
-        self.due = time.perf_counter() + (1000 / target_fps - controller.expected) / 1000
 
     def _chosen(self, request: Request) -> FrameSettings:
         """The requested settings, or those that keep the target."""
