@@ -226,22 +226,17 @@ def _measured(
     measured = []
     for number, settings in enumerate(wanted):
         report(number + 1, len(wanted) + 1, _ACTIVITY)
-        milliseconds = _median_time(source, settings)
+        # Of frames while the gaze moves.
+        times = []
+        for gaze in gaze_path(_WARM_UP + _TIMED):
+            start = time.perf_counter()
+            source.show(Request(replace(settings, gaze=gaze)), quick=True)
+            times.append((time.perf_counter() - start) * 1000)
         quality = float(np.mean([_quality(source, settings, *judged) for judged in views]))
-        measured.append(MeasuredSettings(settings, milliseconds, quality))
+        measured.append(MeasuredSettings(settings, float(np.median(times[_WARM_UP:])), quality))
     report(len(wanted) + 1, len(wanted) + 1, _ACTIVITY)
     source.forget()
     return measured
-
-
-def _median_time(source: FrameSource, settings: FrameSettings) -> float:
-    """Median milliseconds of frames while the gaze moves."""
-    times = []
-    for gaze in gaze_path(_WARM_UP + _TIMED):
-        start = time.perf_counter()
-        source.show(Request(replace(settings, gaze=gaze)), quick=True)
-        times.append((time.perf_counter() - start) * 1000)
-    return float(np.median(times[_WARM_UP:]))
 
 
 def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
