@@ -51,14 +51,12 @@ class FrameTimeController:
     """
 
     def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
-        times = [one.milliseconds for one in ladder]
-        if not ladder or np.any(np.diff(times) <= 0):
+        self._ladder, self._times = list(ladder), [one.milliseconds for one in ladder]
+        if not ladder or np.any(np.diff(self._times) <= 0):
             raise ValueError("a ladder requires settings, each slower than the one before it")
         if not target > 0:
             raise ValueError(f"target of {target} ms: must be positive")
-        self._ladder, self._times = list(ladder), times
-        self.target = target
-        self.load = 1.0
+        self.target, self.load = target, 1.0
         # On the ladder, with fractions between two settings.
         self._position = self._affordable()
 
@@ -161,7 +159,7 @@ class FrameLoop:
         settings, target_fps = request.settings, request.target_fps
         if target_fps is None:
             return settings
-        camera, _ = replace(settings, scale=1.0).resolved(self._source.camera)
+        camera = settings.camera or self._source.camera
         # Of the user's choices, those that the measured times depend on.
         measured_for = camera.width, camera.height, settings.acuity_model
         if self._controller is None or measured_for != self._measured_for:
