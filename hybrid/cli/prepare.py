@@ -61,8 +61,7 @@ def prepare(
     o.check_writable(forest)
     loaded = o.planned_scene(scene, max_depth, thin_glass, override)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
-    prepared = run(loaded, settings, progress_bar, started=started)
-    facts = prepared.facts
+    facts = run(loaded, settings, progress_bar, started=started).facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)
         facts = {**facts, "forest": str(forest)}

@@ -315,8 +315,7 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
     """The camera: from a file, else the scene's own, at the size that was asked for."""
     from hybrid.render.image_files import check_video
 
-    camera = scene.camera if file is None else scene.place.camera(_read_camera(file))
-    camera = o.sized(camera, size)
+    camera = o.sized(scene.camera if file is None else scene.place.camera(_read_camera(file)), size)
     if is_video:
         check_video(camera.width, camera.height)
     return camera
