@@ -193,8 +193,7 @@ class MainWindow(QMainWindow):
         self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(ShownView)}
         self._bar.hide()
         # As large as the frame needs it beside the controls, once Qt has laid those out.
-        hint = self.canvas.sizeHint()
-        QTimer.singleShot(0, lambda: self.resize(self.size() + hint - self.canvas.size()))
+        QTimer.singleShot(0, lambda: self.resize(self.size() + self.canvas.sizeHint() - self.canvas.size()))
         self.canvas.setFocus()
         self._say("F1: help")
         self.tick()
