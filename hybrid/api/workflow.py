@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.base.progress import Progress, bars_of, no_progress
 from pathtrace.scene.backend import select_backend
+from pathtrace.trace.integrator import Integrator, integrator_named
 
 if TYPE_CHECKING:
     from hybrid.preparation.stages import PreparationSettings
     from hybrid.preparation.training_views import Frames
     from pathtrace.dataset.frame_set import CaptureSettings, FrameSet
     from pathtrace.scene.scene import Scene
-    from pathtrace.trace.integrator import Integrator
     from splat.model.forest import Forest
     from splat.training.trainer import TrainingSettings
 
@@ -111,7 +111,6 @@ def capture(
     from hybrid.render.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.frame_set import CaptureSettings
-    from pathtrace.trace.integrator import Integrator, integrator_named
 
     bars, is_cached = bars_of(progress), integrator_named(integrator) is Integrator.CACHED
     scene = as_planned(scene, bars)

@@ -17,8 +17,6 @@ from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
 
-_WARM_UP = 5
-
 
 def raster(
     gaussians: Annotated[int, typer.Option(min=1, max=o.MOST_GAUSSIANS)] = 50_000,
@@ -35,7 +33,7 @@ def raster(
     from hybrid.bench.raster_bench import bench_raster
 
     with progress_bar("bench (rounds)") as bar:
-        row = bench_raster(gaussians, size, seed, repeats, _WARM_UP, bar)
+        row = bench_raster(gaussians, size, seed, repeats, warm_up=5, progress=bar)
     for name in ("forward", "backward"):
         times = row[f"{name}_ms"]
         print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
@@ -96,20 +94,13 @@ def periphery(
     o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.periphery_bench import bench_periphery, display_camera
+    from hybrid.measure.perceptual_metrics import INSTALL
     from hybrid.preparation.preparation import with_forest
 
-    loaded = o.loaded_scene(scene, None, thin_glass)
-    loaded, found = with_forest(loaded, forest, progress_bar)
+    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass), forest, progress_bar)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
-    _print_periphery(rows)
-    o.write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
-
-
-def _print_periphery(rows: list[dict[str, Any]]) -> None:
-    from hybrid.measure.perceptual_metrics import INSTALL
-
     print("                            camera still       |    moving           |")
     print("gaze     acuity model          ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
     for row in rows:
@@ -122,13 +113,7 @@ def _print_periphery(rows: list[dict[str, Any]]) -> None:
         )
     if rows[0]["jod"] is None:
         print(INSTALL)
-
-
-_SIZES = ((640, 480), (1920, 1080))
-_HEADER = (
-    "backend   size       fovea     renderer  wall ms    p95  kernels ms  launches    host bytes  "
-    "longest passes, ms"
-)
+    o.write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
 
 
 def frame(
@@ -152,7 +137,7 @@ def frame(
 
     Without --backend, this is done on each available backend in turn.
     """
-    sizes = _SIZES if size is None else (size,)
+    sizes = ((640, 480), (1920, 1080)) if size is None else (size,)
     for one in sizes:
         o.require_size(one)
     settings = FrameSettings(fov_a=fov_a, fov_b=fov_b, spp=spp)
@@ -162,15 +147,24 @@ def frame(
     from hybrid.bench.frame_bench import bench_frame
     from hybrid.preparation.preparation import with_forest
 
-    loaded = o.loaded_scene(scene, None, thin_glass)
-    loaded, found = with_forest(loaded, forest, progress_bar)
+    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass), forest, progress_bar)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
     if backend == "auto" and device_arrays().backend == "cuda" and not isinstance(LLVM, UserError):
         rows += on_llvm(sys.argv[1:])
-    print(_HEADER)
+    print(
+        "backend   size       fovea     renderer  wall ms    p95  kernels ms  launches    host bytes  "
+        "longest passes, ms"
+    )
     for row in rows:
-        print(_line(row))
+        medians = {name: times["p50"] for name, times in row["passes"].items() if name != "total"}
+        longest = sorted(medians, key=lambda name: medians[name], reverse=True)[:3]
+        renderer, wall = "live" if row["live"] else "still", row["wall_ms"]
+        print(
+            f"{row['backend']:<8} {row['width']:>5}x{row['height']:<5} {row['mode']:<9} {renderer:<8} "
+            f"{wall['p50']:>8.1f} {wall['p95']:>6.1f} {row['kernels_ms']:>11.1f} {row['launches']:>9} "
+            f"{row['host_bytes']:>13,}  " + ", ".join(f"{name} {medians[name]:.1f}" for name in longest)
+        )
     o.write_json(json_file, rows)
 
 
@@ -188,17 +182,6 @@ def on_llvm(arguments: list[str]) -> list[dict[str, Any]]:
             raise UserError(f"backend llvm: its process ended with exit code {code}; try --backend cuda")
         rows: list[dict[str, Any]] = json.loads(file.read_text())
         return rows
-
-
-def _line(row: dict[str, Any]) -> str:
-    medians = {name: times["p50"] for name, times in row["passes"].items() if name != "total"}
-    longest = sorted(medians, key=lambda name: medians[name], reverse=True)[:3]
-    renderer, wall = "live" if row["live"] else "still", row["wall_ms"]
-    return (
-        f"{row['backend']:<8} {row['width']:>5}x{row['height']:<5} {row['mode']:<9} {renderer:<8} "
-        f"{wall['p50']:>8.1f} {wall['p95']:>6.1f} {row['kernels_ms']:>11.1f} {row['launches']:>9} "
-        f"{row['host_bytes']:>13,}  " + ", ".join(f"{name} {medians[name]:.1f}" for name in longest)
-    )
 
 
 def moving(
@@ -231,13 +214,6 @@ def moving(
     others = {file.stem: load_forest(file) for file in against or ()}
     with progress_bar("bench (clips)") as bar:
         rows = bench_moving(loaded, found, settings, reference_spp, bar, others)
-    _print_moving(rows)
-    o.write_json(
-        json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
-    )
-
-
-def _print_moving(rows: list[dict[str, Any]]) -> None:
     names = list(dict.fromkeys(row["region"] for row in rows))
     print(f"{'method':<23}" + "".join(f"{name:>11}" for name in names) + "     ms    p95  ratio")
     by_method: dict[str, dict[str, dict[str, Any]]] = {}
@@ -253,6 +229,9 @@ def _print_moving(rows: list[dict[str, Any]]) -> None:
         more += [] if shift is None else [f"what moves is off by {shift:.2f} px"]
         if more:
             print(f"{method}: {', '.join(more)}")
+    o.write_json(
+        json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
+    )
 
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from compose.base.errors import UserError
-from compose.eye.gaze import MOST_SECONDS
+from compose.eye.gaze import MOST_SECONDS, load_gaze_trace, simulated
 from hybrid.cli import options as o
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
-
-if TYPE_CHECKING:
-    from compose.eye.gaze import GazeTrace
 
 # Duration of a simulated gaze trace in seconds.
 _SIMULATED = 60.0
@@ -75,16 +72,21 @@ def demo(
     json_file: o.Json = None,
 ) -> None:
     """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
-    from hybrid.render.image_files import check_writable
-
     o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
     settings = FrameSettings(
         INTERACTIVE.gaze, fov_a, fov_b, spp, acuity_model=acuity_model, display=display, integrator=integrator
     )
-    check_writable(out / "picture.png")
-    trace = _trace(gaze_trace, simulate, settings, size, seed)
+    o.check_writable(out / "picture.png")
+    if gaze_trace is not None and simulate:
+        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
+    # Without any, the mouse is the gaze.
+    trace = None
+    if simulate:
+        trace = simulated(settings.display, *size, _SIMULATED, seed)
+    elif gaze_trace is not None:
+        trace = load_gaze_trace(gaze_trace).on(settings.display, *size)
     from hybrid.window.qt_check import require_window
 
     require_window()
@@ -95,16 +97,3 @@ def demo(
     o.write_json(json_file, found)
     if bench is not None:
         print(summary)
-
-
-def _trace(
-    file: Path | None, simulate: bool, settings: FrameSettings, size: tuple[int, int], seed: int
-) -> GazeTrace | None:
-    """The gaze trace to replay; None for the mouse."""
-    from compose.eye.gaze import load_gaze_trace, simulated
-
-    if file is not None and simulate:
-        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
-    if simulate:
-        return simulated(settings.display, *size, _SIMULATED, seed)
-    return None if file is None else load_gaze_trace(file).on(settings.display, *size)

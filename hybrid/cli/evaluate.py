@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -55,17 +55,16 @@ def evaluate(
     json_file: o.Json = None,
 ) -> None:
     """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
-    from hybrid.render.image_files import check_writable
-
     frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
     o.require_size(size)
     settings.require_measurable()
-    check_writable(report / "index.html")
+    o.check_writable(report / "index.html")
     o.select(backend)
     from hybrid.api.evaluation_report import evaluate as run
     from hybrid.base.identity import require_scene
-    from hybrid.evaluation.results import verdicts
+    from hybrid.evaluation.result_keys import HALVES_KEY
+    from hybrid.evaluation.results import Results, verdicts
     from hybrid.measure.frame_quality import missing
     from hybrid.preparation.preparation import with_forest
     from hybrid.render.forest_attachments import scene_as_trained
@@ -91,14 +90,7 @@ def evaluate(
     o.write_json(json_file, found)
     for line in (*missing(), *verdicts(found), report / "index.html"):
         print(line)
-    _print(found)
-
-
-def _print(found: dict[str, Any]) -> None:
-    """Foveal and whole quality of each method, mean over the views, beside its time."""
-    from hybrid.evaluation.result_keys import HALVES_KEY
-    from hybrid.evaluation.results import Results
-
+    # Foveal and whole quality of each method, mean over the views, beside its time.
     results = Results(found)
     keys = [HALVES_KEY, *results.keys]
     means = {

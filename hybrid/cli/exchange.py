@@ -77,11 +77,6 @@ def import_file(
         return
     if fps is not None or animation is not None:
         raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
-    import_ply(source, target, precision)
-
-
-def import_ply(source: Path, forest: Path, precision: Precision = Precision.COMPACT) -> None:
-    """Reads a PLY file of 3D Gaussian splatting; the forest fits any scene."""
     from splat.io.compact import compact
     from splat.io.forest_file import save_forest
     from splat.io.ply import UNBOUND_FOCAL, load_ply
@@ -92,6 +87,7 @@ def import_ply(source: Path, forest: Path, precision: Precision = Precision.COMP
     gaussians = load_ply(source)
     place = place_of_gaussians(gaussians)
     layer = static_layer(from_world(gaussians, place))
+    # Without a hash of a scene: it fits any.
     imported = forest_of([layer], UNBOUND_FOCAL, source.stem, "", place)
-    save_forest(forest, imported if precision is Precision.FLOAT32 else compact(imported))
-    print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
+    save_forest(target, imported if precision is Precision.FLOAT32 else compact(imported))
+    print(f"{target}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")

@@ -18,14 +18,14 @@ import typer
 
 from compose.base.errors import MOST_SEED, UserError
 from compose.base.files import json_text, write_whole
+from compose.camera.camera import Camera
 from hybrid.cli.progress import progress_bar
-from hybrid.render.frame_settings import MOST_SPP
+from hybrid.render.frame_settings import MOST_SPP, FrameSettings
+from pathtrace.trace.integrator import Integrator
 from splat.model.choices import Precision
 
 if TYPE_CHECKING:
-    from compose.camera.camera import Camera
     from hybrid.preparation.decisions import Value
-    from hybrid.render.frame_settings import FrameSettings
     from pathtrace.scene.scene import Scene
 
 # The ends of options that nothing else bounds. Some parts of references have eight times as many samples.
@@ -36,15 +36,20 @@ MOST_GAUSSIANS = 100_000_000
 _MOST_SIDE = 16_384
 
 
+def check_writable(path: Path | None) -> None:
+    """Refuses a file, if one is asked for, before long work if it cannot be written."""
+    if path is not None:
+        from hybrid.render import image_files
+
+        image_files.check_writable(path)
+
+
 def _writable(path: Path | None) -> Path | None:
     """The file of `--json`; refused before long work if it cannot be written."""
-    if path is not None:
-        from hybrid.render.image_files import check_writable
-
-        try:
-            check_writable(path)
-        except UserError as error:
-            raise UserError(f"--json {error}") from error
+    try:
+        check_writable(path)
+    except UserError as error:
+        raise UserError(f"--json {error}") from error
     return path
 
 
@@ -227,7 +232,6 @@ def overridden(override: list[str] | None) -> dict[str, Value]:
 def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:
     """Fills the scene's irradiance cache if frames require it and there is none, with a progress bar."""
     from hybrid.render.irradiance import cache_for
-    from pathtrace.trace.integrator import Integrator
 
     if settings.used_integrator is Integrator.CACHED:
         cache_for(scene, progress_bar)

@@ -35,13 +35,11 @@ def plan(
     from hybrid.base.identity import machine
     from hybrid.preparation.plan_picture import write_picture
     from hybrid.preparation.scene_plan import overridden, plan_of, store_plan
-    from hybrid.render.image_files import check_writable
     from pathtrace.scene.scene import load_scene
 
     shown = display_named(display)
     wanted = o.overridden(override)
-    if picture is not None:
-        check_writable(picture)
+    o.check_writable(picture)
     loaded = load_scene(scene, None, thin_glass)
     with progress_bar("plan (parts)") as bar:
         found = plan_of(loaded, shown, size, region or "near", seed, bar)

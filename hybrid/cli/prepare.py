@@ -13,8 +13,6 @@ import typer
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 
-_MOST_VIEWS = 10_000
-
 
 def prepare(
     scene: o.SceneName,
@@ -30,7 +28,7 @@ def prepare(
     ] = None,
     region: o.RegionName = None,
     held_out: Annotated[
-        int, o.measurement(help="Held-out validation views; their time is not counted.", max=_MOST_VIEWS)
+        int, o.measurement(help="Held-out validation views; their time is not counted.", max=10_000)
     ] = 4,
     size: o.FixedSize = (256, 256),
     max_depth: o.MaxDepth = None,
@@ -59,14 +57,11 @@ def prepare(
     o.select(backend)
     from hybrid.preparation.decisions import REGION
     from hybrid.preparation.preparation import prepare as run
-    from hybrid.render.image_files import check_writable
 
-    if forest is not None:
-        check_writable(forest)
+    o.check_writable(forest)
     loaded = o.planned_scene(scene, max_depth, thin_glass, override)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
-    prepared = run(loaded, settings, progress_bar, started=started)
-    facts = prepared.facts
+    facts = run(loaded, settings, progress_bar, started=started).facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)
         facts = {**facts, "forest": str(forest)}

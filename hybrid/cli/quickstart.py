@@ -31,11 +31,10 @@ def quickstart(
     o.select(backend)
     from hybrid.evaluation.quickstart_job import SIZE
     from hybrid.evaluation.quickstart_job import quickstart as run
-    from hybrid.render.image_files import check_writable
 
     if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
-    check_writable(out / "result.json")
+    o.check_writable(out / "result.json")
     result = run(o.planned_scene(scene, None, thin_glass, override), out, settings, seed, progress_bar)
     o.write_json(out / "result.json", result)
     o.write_json(json_file, result)

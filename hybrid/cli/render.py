@@ -1,14 +1,20 @@
-"""`hybrid render`: one frame, or a video along a gaze trace."""
+"""`hybrid render`: one frame, or a video along a gaze trace, with settings as given or as measured."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from compose.base.errors import UserError, one_line
+from compose.base.files import read_json
+from compose.camera.camera import Camera
+from compose.camera.coordinate_systems import camera_from_json
+from compose.eye.gaze import MOST_SECONDS, AngularTrace, GazeTrace, load_gaze_trace
+from compose.fovea.foveation import FoveaMode
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.cli.render_frames import (
@@ -19,12 +25,9 @@ from hybrid.cli.render_frames import (
     view_of,
     write_frames,
 )
-from hybrid.cli.target import TradeTarget, measuring_command
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
-    from compose.camera.camera import Camera
-    from compose.eye.gaze import AngularTrace, GazeTrace
     from hybrid.render.frame import Frame
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
@@ -152,7 +155,10 @@ def render(
     _check_outputs(output, detail, eyes, gaze_trace is not None or is_path)
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
-        _check_measured({"--layers": layers, "--max-depth": max_depth})
+        # Nothing that could be chosen for a target is measured with these.
+        for option, value in (("--layers", layers), ("--max-depth", max_depth)):
+            if value is not None:
+                raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
     o.select(backend)
     if is_folder:
         from pathtrace.dataset.posed_layouts import read_posed_folder
@@ -169,7 +175,6 @@ def render(
             facts = render_splats(output, detail, eyes, splats, settings)
         o.write_json(json_file, {"scene": images.scene_name, **facts})
         return
-    from compose.fovea.foveation import FoveaMode
     from hybrid.preparation.decisions import DENOISING, RAW
     from hybrid.preparation.preparation import with_forest
 
@@ -197,11 +202,74 @@ def render(
     o.write_json(json_file, facts)
 
 
-def _check_measured(options: dict[str, Any]) -> None:
-    """Refuses options with which no settings are measured, and thus none can be chosen for a target."""
-    for option, value in options.items():
-        if value is not None:
-            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+@dataclass(frozen=True)
+class TradeTarget:
+    """The milliseconds that a frame may take and the JOD that it must reach; None for any.
+
+    The command measures the settings to choose from.
+    """
+
+    milliseconds: float | None
+    jod: float | None
+    command: str
+
+    @property
+    def is_set(self) -> bool:
+        """Whether there is a target at all."""
+        return self.milliseconds is not None or self.jod is not None
+
+    def require_forest(self, scene: Scene, given: Path | None) -> None:
+        """Checks that settings can have been measured: there must be a forest already."""
+        from hybrid.base.cache_folder import newest_forest
+
+        if self.is_set and given is None and newest_forest(scene) is None:
+            raise self._not_measured()
+
+    def applied(self, scene: Scene, forest: Forest, settings: FrameSettings) -> FrameSettings:
+        """The settings that meet the target, the given ones without one; UserError if none meets it."""
+        if not self.is_set:
+            return settings
+        from hybrid.evaluation.measured_settings import MeasuredStore, chosen
+
+        camera, _ = settings.resolved(scene.camera)
+        found = MeasuredStore("trade", scene, forest, (camera.width, camera.height), settings).load()
+        if found is None:
+            raise self._not_measured()
+        choice, metric = chosen(*found, self.milliseconds, self.jod), found[0].upper()
+        best, range_ = choice.settings, ""
+        if choice.spread is not None:
+            low, high = choice.spread
+            range_ = f"; {metric} {choice.quality:.4g} ({low:.4g} to {high:.4g})"
+        print(
+            f"--fovea {best.fovea.value} --spp {best.spp} --fov-a {best.fov_a:g} --fov-b {best.fov_b:g}: "
+            f"measured to take {choice.milliseconds:.0f} ms in views that nothing was fitted to{range_}"
+        )
+        return replace(settings, fovea=best.fovea, spp=best.spp, fov_a=best.fov_a, fov_b=best.fov_b)
+
+    def _not_measured(self) -> UserError:
+        return UserError(
+            f"--target-ms, --target-jod: these settings have not been measured here; run: {self.command}"
+        )
+
+
+def measuring_command(
+    scene: str,
+    forest: Path | None,
+    size: tuple[int, int],
+    settings: FrameSettings,
+    display: str,
+    backend: str,
+) -> str:
+    """The command that measures what a target chooses from, with the options that matter."""
+    options = [
+        ("--acuity-model", settings.acuity_model, DEFAULTS.acuity_model),
+        ("--display", display, "desktop"),
+        ("--backend", backend, "auto"),
+    ]
+    words = ["hybrid", "sweep", scene, "--over", "trade", "--size", str(size[0]), str(size[1])]
+    words += [] if forest is None else ["--forest", str(forest)]
+    words += [word for option, value, default in options if value != default for word in (option, value)]
+    return shlex.join(words)
 
 
 def _check_layers(layers: tuple[int, int] | None) -> None:
@@ -214,8 +282,6 @@ def _check_layers(layers: tuple[int, int] | None) -> None:
 
 def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_video: bool) -> None:
     """Refuses files that cannot be written, and frames that they cannot hold, before the work begins."""
-    from hybrid.render.image_files import check_writable
-
     kinds = (".mp4",) if is_video else (".exr", ".png")
     if output.suffix.lower() not in kinds:
         of_what = " of a gaze trace" if is_video else ""
@@ -227,15 +293,13 @@ def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_vid
     if eyes is not None and (is_video or detail is not None):
         raise UserError("--eyes: only for a single frame, without --detail")
     for file in (output, detail):
-        if file is not None:
-            check_writable(file)
+        o.check_writable(file)
 
 
 def _loaded_trace(
     file: Path | None, gaze: tuple[float, float] | None, fps: int | None, is_path: bool
 ) -> GazeTrace | AngularTrace | None:
     """The gaze trace, if there is one; a video along a path may have none."""
-    from compose.eye.gaze import MOST_SECONDS, load_gaze_trace
     from hybrid.render.video import MOST_FRAMES
 
     if file is None:
@@ -251,8 +315,7 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
     """The camera: from a file, else the scene's own, at the size that was asked for."""
     from hybrid.render.image_files import check_video
 
-    camera = scene.camera if file is None else scene.place.camera(_read_camera(file))
-    camera = o.sized(camera, size)
+    camera = o.sized(scene.camera if file is None else scene.place.camera(_read_camera(file)), size)
     if is_video:
         check_video(camera.width, camera.height)
     return camera
@@ -260,9 +323,6 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
 
 def _read_camera(file: Path) -> Camera:
     """The camera of a file, in the world."""
-    from compose.base.files import read_json
-    from compose.camera.coordinate_systems import camera_from_json
-
     try:
         return camera_from_json(read_json(file))
     except OSError as error:

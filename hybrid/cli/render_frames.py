@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from compose.base.errors import UserError
-from compose.camera.camera import View
+from compose.camera.camera import EYES, Camera, View, eyes
+from compose.eye.gaze import AngularTrace, GazeTrace
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
-    from compose.camera.camera import Camera
-    from compose.eye.gaze import AngularTrace, GazeTrace
     from hybrid.render.frame import Frame
     from hybrid.render.splat_renderer import SplatRenderer
     from pathtrace.dataset.posed_images import PosedFolder
@@ -44,7 +43,6 @@ def write_frames(
     The camera is the view or, if there is a distance in its units, lies between the eyes. Returns what
     `facts_of` says of the frame; of two eyes, by "left" and "right".
     """
-    from compose.camera.camera import EYES, eyes
     from hybrid.render.false_colours import detail_picture
     from hybrid.render.image_files import write_srgb
 

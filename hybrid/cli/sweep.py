@@ -11,6 +11,7 @@ import typer
 from compose.base.errors import UserError
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
+from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort, sweep_named
 from hybrid.render.frame_settings import SWEEP, FrameSettings
 
 
@@ -48,8 +49,6 @@ def sweep(
     acuity. In radius, spp, view and trade, only the ratio of --fov-a and --fov-b matters. Only band, layers,
     acuity, denoiser and trade use --reference-spp.
     """
-    from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort, sweep_named
-
     for name in sweep_named(over, (1,)).ignored:
         if o.given(context, name):
             option = f"--{name.replace('_', '-')}"
@@ -67,13 +66,16 @@ def sweep(
     if fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     o.select(backend)
-    from hybrid.evaluation.evaluation_page import write_report
+    from hybrid.evaluation.evaluation_page import evaluated_scene, write_report
     from hybrid.evaluation.sweep_run import sweep as run
     from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass)
     if report is not None:
-        _check_report(report, loaded.name)
+        evaluated = evaluated_scene(report)
+        if evaluated != loaded.name:
+            raise UserError(f"--report {report}: holds an evaluation of {evaluated}, not of {loaded.name}")
+        o.check_writable(report / "index.html")
     base = Setting(o.sized(loaded.camera, size), settings)
     loaded, found = with_forest(loaded, forest, progress_bar)
     o.fill_irradiance(loaded, settings)
@@ -89,17 +91,6 @@ def sweep(
     if report is not None:
         write_report(report)
         print(report / "index.html")
-
-
-def _check_report(folder: Path, scene: str) -> None:
-    """Refuses a report that this sweep does not belong to, or that cannot be written."""
-    from hybrid.evaluation.evaluation_page import evaluated_scene
-    from hybrid.render.image_files import check_writable
-
-    evaluated = evaluated_scene(folder)
-    if evaluated != scene:
-        raise UserError(f"--report {folder}: holds an evaluation of {evaluated}, not of {scene}")
-    check_writable(folder / "index.html")
 
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:

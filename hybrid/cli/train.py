@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -13,18 +13,11 @@ from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from splat.model.choices import Labels, MotionModel, Precision
 
-if TYPE_CHECKING:
-    from pathtrace.dataset.posed_images import PosedFolder
-
-_MOST_ITERATIONS = 10_000_000
-
 
 def train(
     frames: o.FramesFolder,
     forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Forest file to write.")],
-    iterations: Annotated[
-        int, typer.Option(help="Optimizer steps over all layers.", max=_MOST_ITERATIONS)
-    ] = 3000,
+    iterations: Annotated[int, typer.Option(help="Optimizer steps over all layers.", max=10_000_000)] = 3000,
     gaussians: Annotated[
         int | None,
         typer.Option(
@@ -75,7 +68,6 @@ def train(
     from hybrid.preparation.fusion_training import fusion_verdicts
     from hybrid.preparation.held_out import held_out_quality
     from hybrid.preparation.training_views import motion_for, read_frames
-    from hybrid.render.image_files import check_writable
     from pathtrace.dataset.posed_images import PosedFolder
 
     shape = {"gaussians": gaussians, "layers": layers, "degree": degree}
@@ -86,9 +78,13 @@ def train(
     found = read_frames(frames)
     with o.user_errors(), o.option_names("motion", "labels"):
         settings = planned_settings(found, **given, motion=motion_for(found, motion, labels), labels=labels)
-    check_writable(forest)
+    o.check_writable(forest)
     if isinstance(found, PosedFolder):
-        _print_folder(found, settings.motion)
+        field = f"a learned field deforms the Gaussians ({settings.motion.value})"
+        print(
+            f"{found.folder}: {len(found.training)} frames to train on and {len(found.held_out)} held out, "
+            f"layout of {found.layout}; {'nothing moves' if settings.motion.field is None else field}"
+        )
     start = time.perf_counter()
     left_out: list[LeftOut] = []
     with progress_bar("train (steps)") as bar:
@@ -118,17 +114,6 @@ def train(
         quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
         print(f"layer {row['layer']}: {row['nodes']:,} nodes{quality}")
     _print_verdicts(verdicts)
-
-
-def _print_folder(folder: PosedFolder, motion: MotionModel) -> None:
-    """What a folder of third-party images holds, and how motion in it is modelled."""
-    model = (
-        "nothing moves" if motion.field is None else f"a learned field deforms the Gaussians ({motion.value})"
-    )
-    print(
-        f"{folder.folder}: {len(folder.training)} frames to train on and {len(folder.held_out)} held out, "
-        f"layout of {folder.layout}; {model}"
-    )
 
 
 def _print_verdicts(rows: list[dict[str, Any]]) -> None:

@@ -56,8 +56,7 @@ class VideoFrames:
         self.history: State = {}
         self.milliseconds: list[dict[str, float]] = []
         if self._state.is_file():
-            again = "delete the folder to start again"
-            tensors, found = load_tensors(self._state, again)
+            tensors, found = load_tensors(self._state, "delete the folder to start again")
             self.history = {name: tensor.numpy() for name, tensor in tensors.items()}
             require_same(
                 found.get("identity", {}),
@@ -162,26 +161,25 @@ def render_video(
 
 
 class ViewPath:
-    """A way through views at equal steps, straight and evenly turning, in frames of the first one's size."""
+    """A way through views at equal steps, straight and evenly turning, in frames of the first's `size`."""
 
     def __init__(self, views: Sequence[View]):
-        self._size = views[0].camera.width, views[0].camera.height
-        cameras = [view.camera.resized(*self._size) for view in views]
-        self._steps = np.linspace(0, 1, max(2, len(views)))
+        self.size = views[0].camera.width, views[0].camera.height
+        # Of a single view, both ends are the same.
+        views = views if len(views) > 1 else [*views, *views]
+        cameras = [view.camera.resized(*self.size) for view in views]
         poses = np.stack([camera.camera_to_world for camera in cameras])
         numbers = [[c.fx, c.fy, c.cx, c.cy] for c in cameras]
-        times = [view.time for view in views]
-        # Of a single view, both ends are the same.
-        again = np.resize(np.arange(len(views)), len(self._steps))
-        self._numbers = np.column_stack([poses[:, :3, 3], numbers, times])[again]
-        self._turn = Slerp(self._steps, Rotation.from_matrix(poses[again, :3, :3]))
+        self._numbers = np.column_stack([poses[:, :3, 3], numbers, [view.time for view in views]])
+        self._steps = np.linspace(0, 1, len(views))
+        self._turn = Slerp(self._steps, Rotation.from_matrix(poses[:, :3, :3]))
 
     def at(self, share: float) -> View:
         """The view at a share of the way, 0 to 1."""
         x, y, z, fx, fy, cx, cy, time = (np.interp(share, self._steps, row) for row in self._numbers.T)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = self._turn(share).as_matrix(), (x, y, z)
-        return View(camera_from_pose(pose, *self._size, fx, fy, cx, cy), float(time))
+        return View(camera_from_pose(pose, *self.size, fx, fy, cx, cy), float(time))
 
 
 def render_splat_video(
@@ -213,6 +211,5 @@ def render_splat_video(
             yield bytes_from_radiance(frame.composite)
         progress(count, count)
 
-    camera = views.at(0.0).camera
-    write_mp4(path, images(), (camera.width, camera.height), fps)
+    write_mp4(path, images(), views.size, fps)
     return times

@@ -129,9 +129,7 @@ def run_window(
     trains = options.bench is None
     thread = RenderThread(partial(prepared, scene, forest, backend, trains, settings, thin_glass=thin_glass))
     window = MainWindow(thread, settings, GazeInput(options.latency, trace), options)
-    bench = None
-    if options.bench is not None:
-        bench = WindowBench(window, options.bench, trace is None, options.load)
+    bench = None if options.bench is None else WindowBench(window, options.bench, trace is None, options.load)
     window.show()
     # Qt does not notice Ctrl-C by itself.
     signal.signal(signal.SIGINT, lambda number, frame: window.close())

@@ -106,20 +106,18 @@ class Canvas(QWidget):
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
             painter.drawImage(frame, self._image)
             if self._ring:
-                self._draw_ring(painter, self._shown, frame)
+                # Around the disc of the frame that is shown, which may be behind the mouse.
+                settings = self._shown.request.settings
+                radius = settings.fov_a / 100 * frame.height()
+                painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+                painter.setPen(QPen(QColor(255, 255, 255, 110), 1))
+                painter.drawEllipse(self.point_of(settings.gaze), radius, radius)
         self._draw_lines(painter, self._hud, centred=False)
         self._draw_lines(painter, self._overlay, centred=True)
         painter.end()
         if self._fresh:
             self._fresh = False
             self.painted.emit(self._shown)
-
-    def _draw_ring(self, painter: QPainter, shown: ShownFrame, frame: QRectF) -> None:
-        """Draws a circle around the disc of the frame that is shown, which may be behind the mouse."""
-        radius = shown.request.settings.fov_a / 100 * frame.height()
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.setPen(QPen(QColor(255, 255, 255, 110), 1))
-        painter.drawEllipse(self.point_of(shown.request.settings.gaze), radius, radius)
 
     def _draw_lines(self, painter: QPainter, lines: list[str], centred: bool) -> None:
         """Draws lines of text on a shade, in the middle or in the upper left corner."""

@@ -1,11 +1,13 @@
 """The interactive loop: what is rendered next, when, and with which of the settings measured on this machine.
 
-Settings are measured once, from coarse to fine: times on the scene's own view, quality on views that training
-has not seen.
+A controller keeps frames at a target rate by choosing among measured settings; it adapts to the machine's
+load. Settings are measured once, from coarse to fine: times on the scene's own view, quality on views that
+training has not seen.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -25,9 +27,87 @@ from hybrid.measure.perceptual_metrics import jod
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.frame_time_controller import FrameTimeController, applied
 from hybrid.window.messages import Request, ShownFrame
 from pathtrace.region.neighbourhood import unseen_views
+
+# Share of the target time that frames are planned to take, because times vary.
+_PLANNED = 0.85
+# How quickly the controller accepts that the machine has become slower, and that it is faster again.
+_SLOWER, _FASTER = 0.5, 0.08
+# Largest climb per frame, in steps of the ladder; it descends at once.
+_CLIMB = 0.12
+# A frame counts as at most this many times the expected time, because one outlier is not a load.
+_MOST = 3.0
+# No machine becomes a thousand times as fast as it was when it was measured. Frames of 0 ms, which a coarse
+# clock yields, would otherwise lead to a load of 0, at which any settings are affordable for ever.
+_LEAST_LOAD = 1e-3
+
+
+class FrameTimeController:
+    """Chooses settings from a ladder so that frames take the target time, in milliseconds.
+
+    The load is the time of a frame over the time measured for its settings, averaged over recent frames.
+    ValueError if the ladder is empty, its times do not increase, or the target is not positive.
+    """
+
+    def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
+        self._ladder, self._times = list(ladder), [one.milliseconds for one in ladder]
+        if not ladder or np.any(np.diff(self._times) <= 0):
+            raise ValueError("a ladder requires settings, each slower than the one before it")
+        if not target > 0:
+            raise ValueError(f"target of {target} ms: must be positive")
+        self.target, self.load = target, 1.0
+        # On the ladder, with fractions between two settings.
+        self._position = self._affordable()
+
+    def choice(self) -> MeasuredSettings:
+        """The settings of the next frame; between two on the ladder, radius and time are interpolated."""
+        below = int(self._position)
+        lower = self._ladder[below]
+        if below + 1 == len(self._ladder):
+            return lower
+        upper, share = self._ladder[below + 1], self._position - below
+        growth = max(0.0, upper.settings.fov_a - lower.settings.fov_a)
+        return replace(
+            lower,
+            settings=lower.settings.with_radius(lower.settings.fov_a + share * growth),
+            milliseconds=lower.milliseconds + share * (upper.milliseconds - lower.milliseconds),
+        )
+
+    @property
+    def expected(self) -> float:
+        """Milliseconds that the next frame is expected to take, at most the target."""
+        return min(self.choice().milliseconds * self.load, self.target)
+
+    def took(self, milliseconds: float) -> None:
+        """Adapts the load and the choice to the time that the frame of the last choice took.
+
+        A time that is negative or not finite, such as that of a frame that never ended, tells nothing about
+        the load and changes nothing.
+        """
+        if not 0 <= milliseconds < math.inf:
+            return
+        relative = min(milliseconds / self.choice().milliseconds, _MOST * self.load)
+        load = self.load + (_SLOWER if relative > self.load else _FASTER) * (relative - self.load)
+        self.load = max(load, _LEAST_LOAD)
+        self._position = min(self._affordable(), self._position + _CLIMB)
+
+    def _affordable(self) -> float:
+        """The highest position at which frames are expected to meet the target."""
+        return float(np.interp(_PLANNED * self.target / self.load, self._times, np.arange(len(self._times))))
+
+
+def applied(choice: MeasuredSettings, requested: FrameSettings) -> FrameSettings:
+    """The requested settings with the chosen radius (the band keeps its share), samples and so on."""
+    settings = choice.settings
+    return replace(
+        requested.with_radius(settings.fov_a),
+        spp=settings.spp,
+        layers=settings.layers,
+        rate=settings.rate,
+        scale=settings.scale,
+    )
+
 
 # Seconds without a change after which frames may take longer, for more samples each.
 _QUICK_FOR = 1.0
@@ -64,24 +144,22 @@ class FrameLoop:
             if not again:
                 self._controller.took((end - start) * 1000)
             if quick:
-                self._pace(end, request.target_fps, self._controller)
+                # An early frame is held back, since a steady rate is wanted.
+                time.sleep(max(0.0, self._returned + 1 / request.target_fps - end))
+                # As late as the next frame can begin and still be ready one period after this one: its gaze
+                # is newest then.
+                spare = 1000 / request.target_fps - self._controller.expected
+                self.due = time.perf_counter() + spare / 1000
         self._returned = time.perf_counter()
         self.idle = shown.finished
         return shown
-
-    def _pace(self, end: float, target_fps: float, controller: FrameTimeController) -> None:
-        """Holds an early frame back, since a steady rate is wanted, and sets when the next one is due."""
-        time.sleep(max(0.0, self._returned + 1 / target_fps - end))
-        # As late as the next frame can begin and still be ready one period after this one: its gaze is
-        # newest then.
-        self.due = time.perf_counter() + (1000 / target_fps - controller.expected) / 1000
 
     def _chosen(self, request: Request) -> FrameSettings:
         """The requested settings, or those that keep the target."""
         settings, target_fps = request.settings, request.target_fps
         if target_fps is None:
             return settings
-        camera, _ = replace(settings, scale=1.0).resolved(self._source.camera)
+        camera = settings.camera or self._source.camera
         # Of the user's choices, those that the measured times depend on.
         measured_for = camera.width, camera.height, settings.acuity_model
         if self._controller is None or measured_for != self._measured_for:
@@ -137,53 +215,38 @@ def _measured(
 ) -> list[MeasuredSettings]:
     wanted = candidates(base, source.layers)
     report(0, len(wanted) + 1, _ACTIVITY)
-    views = _held_out(source, camera)
-    measured = []
-    for number, settings in enumerate(wanted):
-        report(number + 1, len(wanted) + 1, _ACTIVITY)
-        milliseconds = _median_time(source, settings)
-        quality = float(np.mean([_quality(source, settings, *view) for view in views]))
-        measured.append(MeasuredSettings(settings, milliseconds, quality))
-    report(len(wanted) + 1, len(wanted) + 1, _ACTIVITY)
-    source.forget()
-    return measured
-
-
-def _median_time(source: FrameSource, settings: FrameSettings) -> float:
-    """Median milliseconds of frames while the gaze moves."""
-    times = []
-    for gaze in gaze_path(_WARM_UP + _TIMED):
-        start = time.perf_counter()
-        source.show(Request(replace(settings, gaze=gaze)), quick=True)
-        times.append((time.perf_counter() - start) * 1000)
-    return float(np.median(times[_WARM_UP:]))
-
-
-def _held_out(source: FrameSource, camera: Camera) -> list[tuple[View, Image]]:
-    """Views that training has not seen, at the window's resolution, with their radiance (H, W, 3)."""
-    renderer, found = source.renderer, []
+    # Views that training has not seen, at the window's resolution, with their radiance (H, W, 3).
+    views, renderer = [], source.renderer
     for number, view in enumerate(unseen_views(renderer.scene, _VIEWS, camera.width, camera.height)):
         renderer.scene.show(view.time)
         truth = reference(renderer.tracer, view.camera, _REFERENCE_SPP, REFERENCE_SEED + number)
-        found.append((view, truth.radiance))
-    return found
+        views.append((view, truth.radiance))
+    measured = []
+    for number, settings in enumerate(wanted):
+        report(number + 1, len(wanted) + 1, _ACTIVITY)
+        # Of frames while the gaze moves.
+        times = []
+        for gaze in gaze_path(_WARM_UP + _TIMED):
+            start = time.perf_counter()
+            source.show(Request(replace(settings, gaze=gaze)), quick=True)
+            times.append((time.perf_counter() - start) * 1000)
+        quality = float(np.mean([_quality(source, settings, *judged) for judged in views]))
+        measured.append(MeasuredSettings(settings, float(np.median(times[_WARM_UP:])), quality))
+    report(len(wanted) + 1, len(wanted) + 1, _ACTIVITY)
+    source.forget()
+    return measured
 
 
 def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
     """JOD, or SSIM without FovVideoVDP, of a view's first frame for a viewer with the settings' gaze."""
     source.forget()
     own = replace(settings, camera=view.camera, time=view.time)
-    composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.camera)
+    composite = source.show(Request(own), quick=True).frame.composite
+    size = view.camera.width, view.camera.height
+    if composite.shape[1::-1] != size:
+        # At the window's resolution, as the window shows it.
+        channels = (Pillow.fromarray(channel) for channel in np.moveaxis(composite, 2, 0))
+        enlarged = [np.asarray(channel.resize(size, Pillow.Resampling.BILINEAR)) for channel in channels]
+        composite = np.stack(enlarged, axis=2)
     found = jod(composite, truth, settings.display, settings.gaze)
     return ssim(composite, truth) if found is None else found
-
-
-def _enlarged(image: Image, camera: Camera) -> Image:
-    """(H, W, 3) image at the window's resolution, as the window shows it."""
-    size = camera.width, camera.height
-    if image.shape[1::-1] == size:
-        return image
-    planes = [
-        Pillow.fromarray(plane).resize(size, Pillow.Resampling.BILINEAR) for plane in np.moveaxis(image, 2, 0)
-    ]
-    return np.stack([np.asarray(plane) for plane in planes], axis=2)

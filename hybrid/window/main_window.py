@@ -102,23 +102,19 @@ class MainWindow(QMainWindow):
         self.statusBar().setFixedHeight(bar.sizeHint().height())
         self._settling = QTimer(self, interval=_SETTLE, singleShot=True)
         self._timer = QTimer(self, interval=_REST)
-        self._connect()
-        self._timer.start()
-        thread.start()
-
-    def _connect(self) -> None:
-        thread, canvas = self._thread, self.canvas
         thread.progress.connect(self._on_progress)
         thread.ready.connect(self._on_ready)
         thread.arrived.connect(self._on_frame)
         thread.saved.connect(self._say)
         thread.failed.connect(self._on_failure)
-        canvas.gazed.connect(self._on_gaze)
-        canvas.dragged.connect(self._on_drag)
-        canvas.painted.connect(self._on_painted)
-        canvas.resized.connect(self._settling.start)
+        self.canvas.gazed.connect(self._on_gaze)
+        self.canvas.dragged.connect(self._on_drag)
+        self.canvas.painted.connect(self._on_painted)
+        self.canvas.resized.connect(self._settling.start)
         self._settling.timeout.connect(self._on_settled)
         self._timer.timeout.connect(self.tick)
+        self._timer.start()
+        thread.start()
 
     def tick(self) -> None:
         """Walks as far as keys are held, and asks for the frame that this and the gaze call for."""
@@ -197,8 +193,7 @@ class MainWindow(QMainWindow):
         self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(ShownView)}
         self._bar.hide()
         # As large as the frame needs it beside the controls, once Qt has laid those out.
-        hint = self.canvas.sizeHint()
-        QTimer.singleShot(0, lambda: self.resize(self.size() + hint - self.canvas.size()))
+        QTimer.singleShot(0, lambda: self.resize(self.size() + self.canvas.sizeHint() - self.canvas.size()))
         self.canvas.setFocus()
         self._say("F1: help")
         self.tick()

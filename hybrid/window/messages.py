@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import threading
+from collections import deque
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Generic, TypeVar
+from queue import Empty, Queue
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,23 +103,16 @@ class ShownFrame:
 T = TypeVar("T")
 
 
-class Newest(Generic[T]):
-    """Holds one item; a newer one replaces it, whether or not it was taken."""
+class Newest(Queue[T]):
+    """Holds one item; a newer one replaces it, whether or not it was taken, so that `put` never waits."""
 
-    def __init__(self) -> None:
-        self._arrived = threading.Condition()
-        self._item: T | None = None
-
-    def put(self, item: T) -> None:
-        """Puts an item into the slot; never waits."""
-        with self._arrived:
-            self._item = item
-            self._arrived.notify()
+    def _init(self, maxsize: int) -> None:
+        # As the other queues of the standard library choose how they are organized.
+        self.queue = deque(maxlen=1)
 
     def take(self, timeout: float = 0.0) -> T | None:
         """Takes the newest item out of the slot; None if it is still empty after `timeout` seconds."""
-        with self._arrived:
-            if self._item is None:
-                self._arrived.wait(timeout)
-            item, self._item = self._item, None
-            return item
+        try:
+            return self.get(timeout=timeout)
+        except Empty:
+            return None

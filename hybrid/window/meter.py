@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,24 +17,18 @@ from hybrid.window.messages import ShownFrame
 _RECENT = 100
 
 
-class Timed(NamedTuple):
-    """A duration in seconds that ended when a frame was shown, at a time.perf_counter."""
-
-    at: float
-    seconds: float
-
-
 class Meter:
     """Collects the times, of time.perf_counter, of all shown frames or of the last hundred.
 
     Intervals are from each frame to the next one; latencies from each gaze movement to the first frame that
-    includes it or a newer one; passes the milliseconds of each pass, by name, of each frame.
+    includes it or a newer one: pairs of when they ended, when a frame was shown, and how many seconds they
+    took. Passes are the milliseconds of each pass, by name, of each frame.
     """
 
     def __init__(self, keeps_all: bool = False):
         most = None if keeps_all else _RECENT
-        self.intervals: deque[Timed] = deque(maxlen=most)
-        self.latencies: deque[Timed] = deque(maxlen=most)
+        self.intervals: deque[tuple[float, float]] = deque(maxlen=most)
+        self.latencies: deque[tuple[float, float]] = deque(maxlen=most)
         self.passes: deque[dict[str, float]] = deque(maxlen=most)
         self._movements: deque[float] = deque(maxlen=10 * _RECENT)
         self._last: float | None = None
@@ -52,9 +46,9 @@ class Meter:
         """Notes that a frame is on the screen which includes all movements up to `gaze_time`."""
         self.passes.append(passes)
         while self._movements and self._movements[0] <= gaze_time:
-            self.latencies.append(Timed(at, at - self._movements.popleft()))
+            self.latencies.append((at, at - self._movements.popleft()))
         if self._last is not None:
-            self.intervals.append(Timed(at, at - self._last))
+            self.intervals.append((at, at - self._last))
         self._last = at
 
 
@@ -62,10 +56,10 @@ def lines_of(shown: ShownFrame, meter: Meter) -> list[str]:
     """Lines that tell how long frames take, what was drawn, and with which settings."""
     lines = []
     if meter.intervals:
-        p50, p95 = np.percentile([1000 * interval.seconds for interval in meter.intervals], [50, 95])
+        p50, p95 = np.percentile([1000 * seconds for _, seconds in meter.intervals], [50, 95])
         lines.append(f"frame {p50:.0f} ms (p95 {p95:.0f}), {1000 / p50:.1f} FPS")
     if meter.latencies:
-        latency = np.median([1000 * latency.seconds for latency in meter.latencies])
+        latency = np.median([1000 * seconds for _, seconds in meter.latencies])
         lines.append(f"mouse to screen {latency:.0f} ms")
     passes = " ".join(f"{name} {milliseconds:.0f}" for name, milliseconds in shown.milliseconds.items())
     lines.append(f"{passes} ms")
@@ -128,10 +122,9 @@ def steadiness(
     outside = [ms for at, ms in frames if not begin <= at <= end + _RECOVERY]
     after = [ms for at, ms in frames if end < at <= end + _RECOVERY]
     under_load = [ms for at, ms in frames if begin <= at <= end]
-    if outside:
-        found["kept"] = _share_kept(outside, fps)
-    if after:
-        found["kept_after_load"] = _share_kept(after, fps)
+    for name, times in (("kept", outside), ("kept_after_load", after)):
+        if times:
+            found[name] = float(np.mean([abs(ms * fps / 1000 - 1) <= _TOLERANCE for ms in times]))
     if under_load:
         found |= {"loaded_s": [begin, end], "ms_under_load": float(np.median(under_load))}
     return found
@@ -153,7 +146,3 @@ def summary(found: dict[str, Any]) -> str:
     if "ms_under_load" in target:
         line += f"; {target['ms_under_load']:.0f} ms under load"
     return line
-
-
-def _share_kept(milliseconds: list[float], fps: float) -> float:
-    return float(np.mean([abs(ms * fps / 1000 - 1) <= _TOLERANCE for ms in milliseconds]))

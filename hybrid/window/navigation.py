@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from compose.camera.camera import Array, Camera, camera_from_pose, turned
+from compose.camera.camera import Array, Camera, turned
 
 # Steepest look up or down, in degrees.
 _MOST_PITCH = 85.0
@@ -39,18 +37,13 @@ class Walker:
     def camera(self, width: int, height: int) -> Camera:
         """The view in a frame of that many pixels; the same object as long as nothing moves."""
         if self._view is None or (self._view.width, self._view.height) != (width, height):
-            self._view = self._seen(width, height)
+            self._view = self._home.resized(width, height)
+            if self._offset.any() or self._yaw or self._pitch:
+                pose = np.eye(4)
+                pose[:3, :3] = self._rotation()
+                pose[:3, 3] = self._home.position + self._offset
+                self._view = self._view.at(pose)
         return self._view
-
-    def _seen(self, width: int, height: int) -> Camera:
-        home = self._home.resized(width, height)
-        if not self._offset.any() and not self._yaw and not self._pitch:
-            return home
-        pose = np.eye(4)
-        pose[:3, :3] = self._rotation()
-        pose[:3, 3] = self._home.position + self._offset
-        moved = camera_from_pose(pose, width, height, home.fx, home.fy, home.cx, home.cy)
-        return replace(home, world_to_camera=moved.world_to_camera)
 
     def _rotation(self) -> Array:
         """(3, 3) camera-to-world rotation of the view."""

@@ -74,7 +74,13 @@ class Panel(QWidget):
         # Keys belong to the frame: a control with the focus would react to arrows and letters.
         for control in self.findChildren(QWidget):
             control.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self._connect()
+        # The ends of a range push each other.
+        for lower, upper in ((self.fov_b, self.fov_a), (self.coarsest, self.finest)):
+            lower.valueChanged.connect(lambda value, end=upper: end.setValue(max(end.value(), value)))
+            upper.valueChanged.connect(lambda value, end=lower: end.setValue(min(end.value(), value)))
+        self.controlled.toggled.connect(self._enable_manual)
+        self.controlled.toggled.connect(self.changed)
+        self.target.valueChanged.connect(self.changed)
         self._enable_manual(self.controlled.isChecked())
         self._chosen = replace(settings, layers=(low, high))
 
@@ -99,15 +105,6 @@ class Panel(QWidget):
         self.time.setValue(round(time * _TIME_STEPS))
         self.time.blockSignals(blocked)
         self._time_label.setText(f"time {time:.2f}")
-
-    def _connect(self) -> None:
-        """Makes ends of ranges push each other, and reports changes of the target."""
-        for low, high in ((self.fov_b, self.fov_a), (self.coarsest, self.finest)):
-            low.valueChanged.connect(lambda value, end=high: end.setValue(max(end.value(), value)))
-            high.valueChanged.connect(lambda value, end=low: end.setValue(min(end.value(), value)))
-        self.controlled.toggled.connect(self._enable_manual)
-        self.controlled.toggled.connect(self.changed)
-        self.target.valueChanged.connect(self.changed)
 
     def settings(self) -> FrameSettings:
         """The chosen settings; the same object until one of them changes."""

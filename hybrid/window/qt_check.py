@@ -22,10 +22,8 @@ def require_window() -> None:
         import PySide6  # noqa: F401
     except ImportError as error:
         raise UserError(_INSTALL) from error
-    asked = os.environ.get("QT_QPA_PLATFORM", "")
-    if sys.platform == "linux" and not (
-        asked or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
+    displays = ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):
         raise UserError("there is no display; set DISPLAY, or use a virtual one: xvfb-run hybrid demo ...")
     ended = tried()
     if ended.returncode:

@@ -79,16 +79,13 @@ class RenderThread(QThread):
             newer = self.requests.take(_POLL if loop.idle else 0.0)
             png = self._screenshots.take()
             if png is not None:
-                self._save(source, png)
+                try:
+                    source.save(png)
+                    said = f"{png} and .exr"
+                except UserError as error:
+                    said = str(error)
+                self.saved.emit(said)
             request = newer or request
             if request is not None and (newer is not None or not loop.idle):
                 self.frames.put(loop.make(request))
                 self.arrived.emit()
-
-    def _save(self, source: FrameSource, png: Path) -> None:
-        try:
-            source.save(png)
-        except UserError as error:
-            self.saved.emit(str(error))
-        else:
-            self.saved.emit(f"{png} and .exr")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hybrid.cli.exchange import export_ply, import_ply
+from hybrid.cli.exchange import export_ply, import_file
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.io.ply import load_ply
@@ -32,7 +32,7 @@ def test_a_layer_is_exported_by_its_number(options, number, made, monkeypatch, t
 
 def test_an_exported_forest_is_imported_and_fits_any_scene(made, monkeypatch, tmp_path, capsys):
     export_ply(made / "box.forest", tmp_path / "a.ply")
-    import_ply(tmp_path / "a.ply", tmp_path / "b.forest")
+    import_file(tmp_path / "a.ply", tmp_path / "b.forest")
     imported = load_forest(tmp_path / "b.forest")
     assert imported.counts == (len(load_forest(made / "box.forest").finest),)
     assert (imported.scene_name, imported.scene_hash) == ("a", "")

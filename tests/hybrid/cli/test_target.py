@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.cli.target import TradeTarget, measuring_command
+from hybrid.cli.render import TradeTarget, measuring_command
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
 from hybrid.preparation.scene_plan import planned_scene

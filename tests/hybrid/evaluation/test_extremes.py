@@ -9,7 +9,7 @@ import pytest
 from compose.base.errors import UserError
 from hybrid.evaluation.measured_settings import MeasuredSettings, chosen, pareto_front
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.frame_time_controller import FrameTimeController
+from hybrid.window.frame_loop import FrameTimeController
 from tests.extremes import extreme
 
 LADDER = [MeasuredSettings(FrameSettings(spp=spp), 10.0 * spp, float(spp)) for spp in (1, 2, 4)]

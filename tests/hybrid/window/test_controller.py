@@ -9,7 +9,7 @@ import pytest
 
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.frame_time_controller import FrameTimeController, applied
+from hybrid.window.frame_loop import FrameTimeController, applied
 from tests import small
 
 
