@@ -51,15 +51,6 @@ def at_corners(image: NDArray[np.float32], width: int, height: int) -> Lattice:
     return map_coordinates(image, position, order=1, mode="nearest")
 
 
-def per_pixel(lattice: Lattice, width: int, height: int) -> NDArray[np.float32]:
-    """(H, W) values of a lattice at the pixels' centres, interpolated bilinearly."""
-    y, x = (np.arange(size) + 0.5 for size in (height, width))
-    row, column = (y // CELL).astype(int), (x // CELL).astype(int)
-    fy, fx = (y / CELL - row)[:, None], (x / CELL - column)[None, :]
-    rows = lattice[row] * (1 - fy) + lattice[row + 1] * fy
-    return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
-
-
 @dataclass(frozen=True)
 class LayerRange:
     """The layers of a forest that may be drawn in a frame, from L, the finest, to `lowest`.
@@ -112,8 +103,12 @@ class DetailMap:
         return np.interp(self.step_index, np.arange(len(self.steps)), of_steps).astype(np.float32)
 
     def per_pixel(self, lattice: Lattice) -> NDArray[np.float32]:
-        """(H, W) values of one of the map's lattices, interpolated bilinearly."""
-        return per_pixel(lattice, self.width, self.height)
+        """(H, W) values of one of the map's lattices at the pixels' centres, interpolated bilinearly."""
+        y, x = (np.arange(size) + 0.5 for size in (self.height, self.width))
+        row, column = (y // CELL).astype(int), (x // CELL).astype(int)
+        fy, fx = (y / CELL - row)[:, None], (x / CELL - column)[None, :]
+        rows = lattice[row] * (1 - fy) + lattice[row + 1] * fy
+        return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
 
     def weight(self, index: int) -> Lattice:
         """Weight of a step in the frame, 0..1; the weights of all steps sum to 1."""
