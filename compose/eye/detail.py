@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from compose.eye.acuity import AcuityModel, Step, detail_steps, with_saliency
+from compose.eye.acuity import AcuityModel, Step, detail_steps
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, srgb_from_radiance
@@ -30,6 +30,8 @@ _FADE, _FADE_BY_SALIENCY = 0.22, 0.25
 # Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
 _FAITHFUL = 0.5
 _NYQUIST = 0.5  # cycles per pixel
+# How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
+_SALIENCY_GAIN = 0.4
 # Width of the blur that joins the responses of one object, over the image's longer side (Hou et al. 2012).
 _BLUR = 0.045
 
@@ -143,7 +145,7 @@ def detail_map(
     cutoff = acuity_model.cutoff(np.maximum(angle, edge)) / per_degree
     deciding = cutoff
     if saliency is not None:
-        cutoff = with_saliency(cutoff, saliency.astype(np.float64))
+        cutoff = cutoff * (1 + _SALIENCY_GAIN * saliency.astype(np.float64))
         deciding = deciding if relative else cutoff
     straight = float(np.degrees(np.arctan(radius / display.focal)))
     # No coarser layer need show what layer L does not show faithfully.
