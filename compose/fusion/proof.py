@@ -108,14 +108,10 @@ def _proof(cells: dict[Cell, dict[int, _Errors]]) -> Proof:
     shape = 2, len(COUNTS), len(ENLARGEMENTS)
     shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
     for index in np.ndindex(shape):
-        shares[index], gains[index] = found[min(found, key=lambda cell: _distance(cell, index))]
+        # How far cells are: the denoiser matters least, the enlargement most.
+        nearest = min(found, key=lambda cell: tuple(np.abs(np.subtract(cell, index))[::-1]))
+        shares[index], gains[index] = found[nearest]
     return Proof(shares, gains)
-
-
-def _distance(one: Sequence[int], other: Sequence[int]) -> tuple[int, ...]:
-    """Orders cells by how far they are: the denoiser matters least, the enlargement most."""
-    quick, count, enlargement = (abs(a - b) for a, b in zip(one, other, strict=True))
-    return enlargement, count, quick
 
 
 def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
