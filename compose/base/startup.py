@@ -61,7 +61,13 @@ def find_llvm() -> Llvm:
     UserError if there is none, or only versions that Dr.Jit cannot use.
     """
     if explicit := os.environ.get(_PATH_VARIABLE):
-        return _explicit_llvm(explicit)
+        path, version = Path(explicit), llvm_version(Path(explicit))
+        if not path.exists():
+            raise UserError(f"{_PATH_VARIABLE}={explicit} does not exist; {_HINT}")
+        if version is not None and version < MINIMUM_LLVM:
+            refused = f"is LLVM {version}, which Dr.Jit cannot use ({MINIMUM_LLVM} or newer)"
+            raise UserError(f"{_PATH_VARIABLE}={explicit} {refused}; {_HINT}")
+        return Llvm(path, version)
     too_old: set[int] = set()
     for libraries in (_system_libraries(), (Path(sys.prefix) / "lib").glob("libLLVM*.so*")):
         known = [Llvm(path, llvm_version(path)) for path in sorted(libraries)]
@@ -71,16 +77,6 @@ def find_llvm() -> Llvm:
         too_old |= {llvm.version for llvm in known if llvm.version is not None}
     seen = f"only LLVM {', '.join(map(str, sorted(too_old)))} found" if too_old else "no LLVM found"
     raise UserError(f"{seen}, Dr.Jit needs {MINIMUM_LLVM} or newer; {_HINT}")
-
-
-def _explicit_llvm(path: str) -> Llvm:
-    llvm = Llvm(Path(path), llvm_version(Path(path)))
-    if not llvm.path.exists():
-        raise UserError(f"{_PATH_VARIABLE}={path} does not exist; {_HINT}")
-    if llvm.version is not None and llvm.version < MINIMUM_LLVM:
-        refused = f"is LLVM {llvm.version}, which Dr.Jit cannot use ({MINIMUM_LLVM} or newer)"
-        raise UserError(f"{_PATH_VARIABLE}={path} {refused}; {_HINT}")
-    return llvm
 
 
 def point_drjit_to_llvm() -> Llvm | UserError:
