@@ -61,22 +61,17 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
     The seed is that of the trial networks; progress is told the steps done and the steps in total.
     """
     views = sorted({example.view for example in examples})
-    halves = set(views[::2]), set(views[1::2])
+    halves = [half for half in (set(views[::2]), set(views[1::2])) if half]
     total = TRIAL_ITERATIONS * trials(len(views))
     cells: dict[Cell, dict[int, list[_Errors]]] = defaultdict(lambda: defaultdict(list))
     for number, tried in enumerate(halves):
         learnt = [example for example in examples if example.view not in tried]
-        if not learnt or not tried:
-            continue
         advance = lambda done, _, before=TRIAL_ITERATIONS * number: progress(before + done, total)  # noqa: E731
-        trial = fit(learnt, seed, advance, TRIAL_ITERATIONS)
+        # Of a single view, nothing is known about the network, but which parent is better.
+        trial = fit(learnt, seed, advance, TRIAL_ITERATIONS) if learnt else Fusion()
         for example in examples:
             if example.view in tried:
                 cells[_cell(example)][example.view].append(_errors(trial, example))
-    if not cells:
-        # A single view: nothing is known about the network, but which parent is better.
-        for example in examples:
-            cells[_cell(example)][example.view].append(_errors(Fusion(), example))
     return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
 
 
