@@ -24,7 +24,6 @@ _PATH_VARIABLE = "DRJIT_LIBLLVM_PATH"
 MINIMUM_LLVM = 19
 _HINT = "install one with: pip install karellen-llvm-core   (or: apt install libllvm19)"
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-(\d+))?(?:\.so(?:\.(\d+))?.*)$")
-_SPINS_VARIABLE, _POLICY_VARIABLE = "GOMP_SPINCOUNT", "OMP_WAIT_POLICY"
 # Turns of a loop in which torch's threads wait for work before they sleep. By GNU OpenMP's default they do so
 # for milliseconds, which delays whoever has work where other processes are busy.
 _SPINS = 1000
@@ -108,8 +107,8 @@ def _import_drjit_silently() -> None:
 
 def let_waiting_threads_sleep() -> None:
     """Sets GOMP_SPINCOUNT, unless the user has set it or OMP_WAIT_POLICY, which it would overrule."""
-    if _POLICY_VARIABLE not in os.environ:
-        os.environ.setdefault(_SPINS_VARIABLE, str(_SPINS))
+    if "OMP_WAIT_POLICY" not in os.environ:
+        os.environ.setdefault("GOMP_SPINCOUNT", str(_SPINS))
 
 
 def names_on_demand(
