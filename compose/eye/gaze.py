@@ -175,12 +175,11 @@ def _parsed(path: Path, number: int, row: list[str], in_degrees: bool) -> tuple[
     """Time and gaze of a line."""
     try:
         second, x, y = (float(value) for value in row)
-        if in_degrees:
-            if not (abs(x) <= _MOST_DEGREES and abs(y) <= _MOST_DEGREES):
-                raise ValueError("not in front of the viewer")
-        else:
+        if not in_degrees:
             # Whether there can be such a gaze.
             Gaze(x, y)
+        elif not (abs(x) <= _MOST_DEGREES and abs(y) <= _MOST_DEGREES):
+            raise ValueError("not in front of the viewer")
         return second, (x, y)
     except ValueError as error:
         within = f"{_MOST_DEGREES:g} degrees" if in_degrees else f"{FURTHEST} frames"
