@@ -71,13 +71,11 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
         trial = fit(learnt, seed, advance, TRIAL_ITERATIONS) if learnt else Fusion()
         for example in examples:
             if example.view in tried:
-                cells[_cell(example)][example.view].append(_errors(trial, example))
+                parents = example.parents
+                count = float(np.exp(np.log(parents.count).mean()))
+                cell = cell_of(parents.quick, count, parents.enlargement)
+                cells[cell][example.view].append(_errors(trial, example))
     return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
-
-
-def _cell(example: Example) -> Cell:
-    parents = example.parents
-    return cell_of(parents.quick, float(np.exp(np.log(parents.count).mean())), parents.enlargement)
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
