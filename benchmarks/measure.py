@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -24,48 +23,29 @@ from benchmarks.hard_scenes import SCENES
 from benchmarks.tables import DATA, ROOT
 
 STAIRCASE = "staircase2/scene.xml"
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """A command whose JSON is kept: `hybrid` or a module of Python.
-
-    Attributes:
-        command: its words. Forests lie in the working folder; STAIRCASE stands for the scene file of
-            staircase2, VISION for the folder of data about people's vision; the scenes of
-            `benchmarks.hard_scenes` lie in the working folder as well.
-        requires: the measurement that makes its forest.
-    """
-
-    command: str
-    requires: str | None = None
-
-
+# What requires this forest requires `prepare-room`, which makes it.
 _FRAMES = "--forest room.forest"
 _PREPARED = "hybrid prepare {0}/scene.xml -o {0}.forest --held-out 4 --minutes 1 --seed 5"
+# Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
+# folder; STAIRCASE stands for the scene file of staircase2, VISION for the folder of data about people's
+# vision; the scenes of `benchmarks.hard_scenes` lie in the working folder as well.
 MEASUREMENTS = {
-    "quickstart": Measurement("hybrid quickstart room --out out"),
-    "prepare-room": Measurement("hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5"),
-    "prepare-staircase2": Measurement(
-        "hybrid prepare STAIRCASE -o staircase2.forest --held-out 4 --minutes 1.5 --seed 5"
-    ),
-    "prepare-room-moving": Measurement(
-        "hybrid prepare room-moving -o moving.forest --held-out 4 --minutes 3 --seed 5"
-    ),
-    **{f"prepare-{name}": Measurement(_PREPARED.format(name)) for name in SCENES},
-    "frame": Measurement(f"hybrid bench frame room {_FRAMES}", "prepare-room"),
-    "resolution": Measurement(f"hybrid sweep room --over resolution --repeats 9 {_FRAMES}", "prepare-room"),
-    "radius": Measurement(f"hybrid sweep room --over radius --repeats 5 {_FRAMES}", "prepare-room"),
-    "denoiser": Measurement(f"hybrid sweep room --over denoiser --size 512 512 {_FRAMES}", "prepare-room"),
-    "evaluation": Measurement(
-        f"hybrid evaluate room --report report --views 3 --repeats 40 {_FRAMES}", "prepare-room"
-    ),
-    "periphery": Measurement(f"hybrid bench periphery room {_FRAMES}", "prepare-room"),
-    "window": Measurement(f"hybrid demo room --bench 20 {_FRAMES}", "prepare-room"),
-    "integrator-room": Measurement("hybrid bench integrator room --reference-spp 512"),
-    "integrator-staircase2": Measurement("hybrid bench integrator STAIRCASE --reference-spp 512"),
-    "raster": Measurement("hybrid bench raster"),
-    "acuity": Measurement("python -m benchmarks.fit_acuity VISION"),
+    "quickstart": "hybrid quickstart room --out out",
+    "prepare-room": "hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5",
+    "prepare-staircase2": "hybrid prepare STAIRCASE -o staircase2.forest --held-out 4 --minutes 1.5 --seed 5",
+    "prepare-room-moving": "hybrid prepare room-moving -o moving.forest --held-out 4 --minutes 3 --seed 5",
+    **{f"prepare-{name}": _PREPARED.format(name) for name in SCENES},
+    "frame": f"hybrid bench frame room {_FRAMES}",
+    "resolution": f"hybrid sweep room --over resolution --repeats 9 {_FRAMES}",
+    "radius": f"hybrid sweep room --over radius --repeats 5 {_FRAMES}",
+    "denoiser": f"hybrid sweep room --over denoiser --size 512 512 {_FRAMES}",
+    "evaluation": f"hybrid evaluate room --report report --views 3 --repeats 40 {_FRAMES}",
+    "periphery": f"hybrid bench periphery room {_FRAMES}",
+    "window": f"hybrid demo room --bench 20 {_FRAMES}",
+    "integrator-room": "hybrid bench integrator room --reference-spp 512",
+    "integrator-staircase2": "hybrid bench integrator STAIRCASE --reference-spp 512",
+    "raster": "hybrid bench raster",
+    "acuity": "python -m benchmarks.fit_acuity VISION",
 }
 
 
@@ -83,17 +63,17 @@ def measure(name: str, work: Path, places: dict[str, Path]) -> None:
 
     select_backend()
     file = DATA / f"{name}.json"
-    chosen = MEASUREMENTS[name]
+    command = MEASUREMENTS[name]
     current = {"machine": machine(), "source": code()["source"]}
     if file.exists():
         known = json.loads(file.read_text())
-        if all(known[key] == value for key, value in current.items()) and _has_forest(chosen, work):
+        if all(known[key] == value for key, value in current.items()) and _has_forest(command, work):
             return
-    if chosen.requires:
-        measure(chosen.requires, work, places)
+    if _FRAMES in command:
+        measure("prepare-room", work, places)
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result.json"
-        program, *words = (str(places.get(word, word)) for word in chosen.command.split())
+        program, *words = (str(places.get(word, word)) for word in command.split())
         if program == "hybrid":
             words = ["-m", "hybrid.cli.main", *words]
         start = time.perf_counter()
@@ -110,7 +90,7 @@ def measure(name: str, work: Path, places: dict[str, Path]) -> None:
             check=True,
         )
         found: dict[str, Any] = {
-            "command": chosen.command.replace("STAIRCASE", STAIRCASE),
+            "command": command.replace("STAIRCASE", STAIRCASE),
             "date": datetime.now(timezone.utc).date().isoformat(),
             "seconds": round(time.perf_counter() - start, 1),
             **current,
@@ -120,9 +100,9 @@ def measure(name: str, work: Path, places: dict[str, Path]) -> None:
     file.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def _has_forest(chosen: Measurement, work: Path) -> bool:
+def _has_forest(command: str, work: Path) -> bool:
     """Whether the forest that a measurement makes is still there for those that require it."""
-    words = chosen.command.split()
+    words = command.split()
     return "-o" not in words or (work / words[words.index("-o") + 1]).exists()
 
 
@@ -150,7 +130,7 @@ def main() -> None:
             write(work / scene)
     places = {"STAIRCASE": options.scenes.resolve() / STAIRCASE, "VISION": options.vision.resolve()}
     for name in names:
-        print(f"{name}: {MEASUREMENTS[name].command}", flush=True)
+        print(f"{name}: {MEASUREMENTS[name]}", flush=True)
         measure(name, work, places)
 
 

@@ -50,17 +50,13 @@ def markdown(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
-def provenance(*names: str) -> str:
-    """The commands that measured a table, and when and where."""
+def _with_provenance(table: str, *names: str) -> str:
+    """A table after the commands that measured it, and when and where."""
     first = measured(names[0])
     machine = first["machine"]
     where = machine["gpu"] or f"{machine['cores']} cores of {machine['cpu']}"
     commands = ", ".join(f"`{measured(name)['command']}`" for name in names)
-    return f"{commands}: {where}, {first['date']}."
-
-
-def _with_provenance(table: str, *names: str) -> str:
-    return f"{provenance(*names)}\n\n{table}"
+    return f"{commands}: {where}, {first['date']}.\n\n{table}"
 
 
 def _range(between: list[float], form: str) -> str:
@@ -93,17 +89,8 @@ def quickstart() -> str:
     return _with_provenance(markdown(["", ""], rows), "quickstart")
 
 
-def prepare() -> str:
-    """Held-out quality of rooms after each stage of a preparation."""
-    return _prepared_scenes("room", "staircase2", "room-moving")
-
-
-def hard_scenes() -> str:
-    """The same for scenes that are not rooms."""
-    return _prepared_scenes(*SCENES)
-
-
 def _prepared_scenes(*scenes: str) -> str:
+    """Held-out quality of scenes, rooms or not, after each stage of a preparation."""
     names = [f"prepare-{scene}" for scene in scenes]
     rows = [
         [
@@ -156,7 +143,8 @@ def _of_radius(row: dict[str, Any]) -> str:
 
 def denoiser() -> str:
     """Foveal quality and time by the way the fovea is made."""
-    metrics = [name for name in ("psnr", "ssim", "flip", "jod") if f"foveal {name}" in _first("denoiser")]
+    found = result("denoiser")["rows"]
+    metrics = [name for name in ("psnr", "ssim", "flip", "jod") if f"foveal {name}" in found[0]["quality"]]
     rows = [
         [
             str(row["spp"]),
@@ -164,7 +152,7 @@ def denoiser() -> str:
             f"{row['ms']['p50']:.0f}",
             *(f"{row['quality'][f'foveal {name}']:.{_DIGITS[name]}f}" for name in metrics),
         ]
-        for row in result("denoiser")["rows"]
+        for row in found
     ]
     header = ["spp", "fovea", "ms", *(_METRICS[name] for name in metrics)]
     return _with_provenance(markdown(header, rows), "denoiser")
@@ -172,11 +160,6 @@ def denoiser() -> str:
 
 _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
 _DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
-
-
-def _first(name: str) -> dict[str, Any]:
-    quality: dict[str, Any] = result(name)["rows"][0]["quality"]
-    return quality
 
 
 def evaluation() -> str:
@@ -303,8 +286,7 @@ def window() -> str:
 
 def headlines() -> str:
     """README's figures, one line each."""
-    lines = [line() for line in _HEADLINES]
-    return markdown(["what", "figure"], [list(line) for line in lines])
+    return markdown(["what", "figure"], [list(line()) for line in _HEADLINES])
 
 
 def _speed() -> tuple[str, str]:
@@ -421,11 +403,13 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
     *(_periphery, _integrator, _registration, _rasterizer, _card),
 )
 _MADE = (
-    *(headlines, quickstart, prepare, hard_scenes, resolution, radius, denoiser),
-    *(evaluation, integrators, periphery, acuity, frames, raster, window),
+    *(headlines, quickstart, resolution, radius, denoiser, evaluation, integrators),
+    *(periphery, acuity, frames, raster, window),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},
+    "prepare": lambda: _prepared_scenes("room", "staircase2", "room-moving"),
+    "hard_scenes": lambda: _prepared_scenes(*SCENES),
     "card-frames": lambda: frames("card-frame"),
     "card-resolution": lambda: resolution("card-resolution"),
 }

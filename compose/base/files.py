@@ -71,11 +71,18 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 def _write_beside(path: Path, write: Callable[[Path], object]) -> None:
     """As `write_whole`, to an ordinary file."""
-    part = _part_of(path)
+    # The extension stays: libraries choose the format by it.
+    extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""
+    # A name that no other write uses, made of the machine, the process, and random digits.
+    part = path.with_name(f"{PART_PREFIX}{_place()}-{os.getpid()}-{secrets.token_hex(8)}{extension}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_stale_parts(path.parent)
-        mode = _mode_of_new_files(part)
+        # Permissions that an ordinary new file gets there, without a change of the process's mask.
+        part.touch(exist_ok=False)
+        mode = stat.S_IMODE(part.stat().st_mode)
+        # A writer that writes nothing must not leave an empty result.
+        part.unlink()
         write(part)
         # Some libraries write files that only their owner may read.
         os.chmod(part, mode)
@@ -163,13 +170,6 @@ def require_size_below(path: Path, most_bytes: int) -> int:
     return found.st_size
 
 
-def _part_of(path: Path) -> Path:
-    """A name that no other write uses, made of the machine, the process, and random digits."""
-    # The extension stays: libraries choose the format by it.
-    extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""
-    return path.with_name(f"{PART_PREFIX}{_place()}-{os.getpid()}-{secrets.token_hex(8)}{extension}")
-
-
 @functools.cache
 def _place() -> str:
     """Eight hexadecimal digits for machine, boot and container; process numbers mean nothing elsewhere."""
@@ -205,15 +205,6 @@ def _is_stale(part: os.DirEntry[str]) -> bool:
         except (PermissionError, OverflowError):
             return False
     return time.time() - part.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
-
-
-def _mode_of_new_files(part: Path) -> int:
-    """Permissions that an ordinary new file gets there, without a change of the process's mask."""
-    part.touch(exist_ok=False)
-    mode = stat.S_IMODE(part.stat().st_mode)
-    # A writer that writes nothing must not leave an empty result.
-    part.unlink()
-    return mode
 
 
 def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> Any:

@@ -96,12 +96,10 @@ def flattened(value: Any) -> Any:
         return (kind, *map(flattened, value))
     if kind is dict:
         return {key: flattened(part) for key, part in value.items()}
-    names = _names(kind)
-    if names is None:
-        return value
-    if names is _FLAT:
+    if issubclass(kind, Passed):
         return value.flat
-    return (kind, *[flattened(getattr(value, name)) for name in names])
+    names = _names(kind)
+    return value if names is None else (kind, *[flattened(getattr(value, name)) for name in names])
 
 
 def rebuilt(value: Any) -> Any:
@@ -111,10 +109,9 @@ def rebuilt(value: Any) -> Any:
     if type(value) is not tuple:
         return value
     kind, *parts = value
-    names = _names(kind)
-    if names is _FLAT:
+    if issubclass(kind, Passed):
         return parts[0].value
-    whole = map(rebuilt, parts)
+    names, whole = _names(kind), map(rebuilt, parts)
     return kind(whole) if names is None else kind(**dict(zip(names, whole, strict=True)))
 
 
@@ -125,13 +122,7 @@ def _widths(value: Any) -> Any:
     return dr.width(value) if isinstance(value, dr.ArrayBase) else None
 
 
-# What `_names` says of types of `Passed`.
-_FLAT = ("flat",)
-
-
 @cache
 def _names(kind: Any) -> tuple[str, ...] | None:
     """The fields of a dataclass; None for other types."""
-    if issubclass(kind, Passed):
-        return _FLAT
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None

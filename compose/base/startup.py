@@ -24,7 +24,6 @@ _PATH_VARIABLE = "DRJIT_LIBLLVM_PATH"
 MINIMUM_LLVM = 19
 _HINT = "install one with: pip install karellen-llvm-core   (or: apt install libllvm19)"
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-(\d+))?(?:\.so(?:\.(\d+))?.*)$")
-_SPINS_VARIABLE, _POLICY_VARIABLE = "GOMP_SPINCOUNT", "OMP_WAIT_POLICY"
 # Turns of a loop in which torch's threads wait for work before they sleep. By GNU OpenMP's default they do so
 # for milliseconds, which delays whoever has work where other processes are busy.
 _SPINS = 1000
@@ -61,7 +60,13 @@ def find_llvm() -> Llvm:
     UserError if there is none, or only versions that Dr.Jit cannot use.
     """
     if explicit := os.environ.get(_PATH_VARIABLE):
-        return _explicit_llvm(explicit)
+        path, version = Path(explicit), llvm_version(Path(explicit))
+        if not path.exists():
+            raise UserError(f"{_PATH_VARIABLE}={explicit} does not exist; {_HINT}")
+        if version is not None and version < MINIMUM_LLVM:
+            refused = f"is LLVM {version}, which Dr.Jit cannot use ({MINIMUM_LLVM} or newer)"
+            raise UserError(f"{_PATH_VARIABLE}={explicit} {refused}; {_HINT}")
+        return Llvm(path, version)
     too_old: set[int] = set()
     for libraries in (_system_libraries(), (Path(sys.prefix) / "lib").glob("libLLVM*.so*")):
         known = [Llvm(path, llvm_version(path)) for path in sorted(libraries)]
@@ -71,16 +76,6 @@ def find_llvm() -> Llvm:
         too_old |= {llvm.version for llvm in known if llvm.version is not None}
     seen = f"only LLVM {', '.join(map(str, sorted(too_old)))} found" if too_old else "no LLVM found"
     raise UserError(f"{seen}, Dr.Jit needs {MINIMUM_LLVM} or newer; {_HINT}")
-
-
-def _explicit_llvm(path: str) -> Llvm:
-    llvm = Llvm(Path(path), llvm_version(Path(path)))
-    if not llvm.path.exists():
-        raise UserError(f"{_PATH_VARIABLE}={path} does not exist; {_HINT}")
-    if llvm.version is not None and llvm.version < MINIMUM_LLVM:
-        refused = f"is LLVM {llvm.version}, which Dr.Jit cannot use ({MINIMUM_LLVM} or newer)"
-        raise UserError(f"{_PATH_VARIABLE}={path} {refused}; {_HINT}")
-    return llvm
 
 
 def point_drjit_to_llvm() -> Llvm | UserError:
@@ -112,8 +107,8 @@ def _import_drjit_silently() -> None:
 
 def let_waiting_threads_sleep() -> None:
     """Sets GOMP_SPINCOUNT, unless the user has set it or OMP_WAIT_POLICY, which it would overrule."""
-    if _POLICY_VARIABLE not in os.environ:
-        os.environ.setdefault(_SPINS_VARIABLE, str(_SPINS))
+    if "OMP_WAIT_POLICY" not in os.environ:
+        os.environ.setdefault("GOMP_SPINCOUNT", str(_SPINS))
 
 
 def names_on_demand(

@@ -53,7 +53,7 @@ class Moment:
             return position
         plain = arrays.plain
         moves = (mover != STILL) & (mover != UNSTEADY)
-        row = arrays.packet(self._table(arrays), 12, plain.UInt(mover), moves)
+        row = arrays.packet(uploaded(plain.Float64, self.poses), 12, plain.UInt(mover), moves)
         shifted = [plain.Float64(at) - row[4 * i + 3] for i, at in enumerate(position)]
         # The inverse of a rotation is its transpose.
         rest = [sum(row[4 * i + j] * shifted[i] for i in range(3)) for j in range(3)]
@@ -66,12 +66,10 @@ class Moment:
         """
         if len(self.poses) == 1:
             return rest
-        row = arrays.packet(self._table(arrays), 12, dr.select(mover < len(self.poses), mover, 0))
+        table = uploaded(arrays.plain.Float64, self.poses)
+        row = arrays.packet(table, 12, dr.select(mover < len(self.poses), mover, 0))
         point = [arrays.plain.Float64(at) for at in rest]
         return [sum(row[4 * i + j] * point[j] for j in range(3)) + row[4 * i + 3] for i in range(3)]
-
-    def _table(self, arrays: Arrays) -> Any:
-        return uploaded(arrays.plain.Float64, self.poses)
 
 
 # Of a scene in which nothing moves.

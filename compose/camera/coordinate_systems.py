@@ -101,16 +101,8 @@ def camera_from_json(entry: dict[str, Any]) -> Camera:
         TypeError, ValueError: a value is of the wrong type or shape; a size must be a whole number of pixels,
             the matrix 4 x 4 (its last row may be missing) and rigid.
     """
-    pose = opencv_from_opengl(_matrix(entry["transform_matrix"]))
-    width, height = (_whole_pixels(entry, name) for name in ("w", "h"))
-    if width * height > MOST_PIXELS:
-        raise ValueError(f"frame size {width} x {height}; at most {MOST_PIXELS:,} pixels")
-    return camera_from_pose(pose, width, height, entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"])
-
-
-def _matrix(rows: Any) -> Array:
     try:
-        matrix = np.asarray(rows, dtype=np.float64)
+        matrix = np.asarray(entry["transform_matrix"], dtype=np.float64)
     except (ValueError, OverflowError) as error:
         raise ValueError(f"transform_matrix is not a matrix of numbers ({error})") from error
     if matrix.shape not in ((4, 4), (3, 4)):
@@ -118,7 +110,11 @@ def _matrix(rows: Any) -> Array:
         raise ValueError(f"transform_matrix is {shape}; must be 4 x 4, one list per row")
     if not np.isfinite(matrix).all():
         raise ValueError("transform_matrix has a number that is not finite")
-    return matrix
+    pose = opencv_from_opengl(matrix)
+    width, height = (_whole_pixels(entry, name) for name in ("w", "h"))
+    if width * height > MOST_PIXELS:
+        raise ValueError(f"frame size {width} x {height}; at most {MOST_PIXELS:,} pixels")
+    return camera_from_pose(pose, width, height, entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"])
 
 
 def _whole_pixels(entry: dict[str, Any], name: str) -> int:

@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 # The fastest model of which FovVideoVDP notices less than 0.1 JOD, as compared in docs/measured.
 DEFAULT_ACUITY_MODEL = "fovvideovdp"
 COARSEST_RATE = 4  # log2 of pixels per sample along each axis
-# How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
-_SALIENCY_GAIN = 0.4
 # Cycles per degree. Beyond some 45 degrees stelaCSF finds nothing visible at all; the cut-off stays at this.
 _LOWEST_CUTOFF = 0.5
 # Of `limit_sensitivity`; and of `resolution_limit`, the standard deviation over people in octaves in the
@@ -189,11 +187,6 @@ def acuity_model_named(name: str) -> AcuityModel:
     if name not in ACUITY_MODELS:
         raise UserError(f"acuity model {name}: must be {', '.join(ACUITY_MODELS)}")
     return ACUITY_MODELS[name]
-
-
-def with_saliency(cutoff: Array, saliency: Array) -> Array:
-    """Cut-off raised where the image draws attention, saliency in 0..1 (Fov-GS, Eq. 9)."""
-    return cutoff * (1 + _SALIENCY_GAIN * saliency)
 
 
 @dataclass(frozen=True)

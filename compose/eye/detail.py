@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from compose.eye.acuity import AcuityModel, Step, detail_steps, with_saliency
+from compose.eye.acuity import AcuityModel, Step, detail_steps
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, srgb_from_radiance
@@ -30,6 +30,8 @@ _FADE, _FADE_BY_SALIENCY = 0.22, 0.25
 # Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
 _FAITHFUL = 0.5
 _NYQUIST = 0.5  # cycles per pixel
+# How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
+_SALIENCY_GAIN = 0.4
 # Width of the blur that joins the responses of one object, over the image's longer side (Hou et al. 2012).
 _BLUR = 0.045
 
@@ -49,15 +51,6 @@ def at_corners(image: NDArray[np.float32], width: int, height: int) -> Lattice:
     x, y = corner_positions(width, height)
     position = [y / height * image.shape[0] - 0.5, x / width * image.shape[1] - 0.5]
     return map_coordinates(image, position, order=1, mode="nearest")
-
-
-def per_pixel(lattice: Lattice, width: int, height: int) -> NDArray[np.float32]:
-    """(H, W) values of a lattice at the pixels' centres, interpolated bilinearly."""
-    y, x = (np.arange(size) + 0.5 for size in (height, width))
-    row, column = (y // CELL).astype(int), (x // CELL).astype(int)
-    fy, fx = (y / CELL - row)[:, None], (x / CELL - column)[None, :]
-    rows = lattice[row] * (1 - fy) + lattice[row + 1] * fy
-    return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -112,8 +105,12 @@ class DetailMap:
         return np.interp(self.step_index, np.arange(len(self.steps)), of_steps).astype(np.float32)
 
     def per_pixel(self, lattice: Lattice) -> NDArray[np.float32]:
-        """(H, W) values of one of the map's lattices, interpolated bilinearly."""
-        return per_pixel(lattice, self.width, self.height)
+        """(H, W) values of one of the map's lattices at the pixels' centres, interpolated bilinearly."""
+        y, x = (np.arange(size) + 0.5 for size in (self.height, self.width))
+        row, column = (y // CELL).astype(int), (x // CELL).astype(int)
+        fy, fx = (y / CELL - row)[:, None], (x / CELL - column)[None, :]
+        rows = lattice[row] * (1 - fy) + lattice[row + 1] * fy
+        return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
 
     def weight(self, index: int) -> Lattice:
         """Weight of a step in the frame, 0..1; the weights of all steps sum to 1."""
@@ -148,7 +145,7 @@ def detail_map(
     cutoff = acuity_model.cutoff(np.maximum(angle, edge)) / per_degree
     deciding = cutoff
     if saliency is not None:
-        cutoff = with_saliency(cutoff, saliency.astype(np.float64))
+        cutoff = cutoff * (1 + _SALIENCY_GAIN * saliency.astype(np.float64))
         deciding = deciding if relative else cutoff
     straight = float(np.degrees(np.arctan(radius / display.focal)))
     # No coarser layer need show what layer L does not show faithfully.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -73,7 +72,13 @@ def display_named(source: str) -> Display:
     if source in DISPLAYS:
         return DISPLAYS[source]
     try:
-        return _display_from_json(read_json(Path(source), finite=False))
+        entry = read_json(Path(source), finite=False)
+        if not isinstance(entry, dict):
+            raise TypeError("not an object")
+        names = [field.name for field in fields(Display)]
+        if unknown := sorted(set(entry) - set(names)):
+            raise UserError(f"{unknown[0]} is unknown; must have {', '.join(names)} only")
+        return Display(**entry)
     except OSError as error:
         known = ", ".join(DISPLAYS)
         raise UserError(f"display {source}: must be {known} or a JSON file ({error.strerror})") from error
@@ -82,12 +87,3 @@ def display_named(source: str) -> Display:
     except (ValueError, TypeError) as error:
         needed = "must be JSON with width and height in pixels and fov in degrees"
         raise UserError(f"display {source}: {needed} ({one_line(error)})") from error
-
-
-def _display_from_json(entry: Any) -> Display:
-    if not isinstance(entry, dict):
-        raise TypeError("not an object")
-    names = [field.name for field in fields(Display)]
-    if unknown := sorted(set(entry) - set(names)):
-        raise UserError(f"{unknown[0]} is unknown; must have {', '.join(names)} only")
-    return Display(**entry)

@@ -178,12 +178,11 @@ def _parsed(path: Path, number: int, row: list[str], in_degrees: bool) -> tuple[
     """Time and gaze of a line."""
     try:
         second, x, y = (float(value) for value in row)
-        if in_degrees:
-            if not (abs(x) <= _MOST_DEGREES and abs(y) <= _MOST_DEGREES):
-                raise ValueError("not in front of the viewer")
-        else:
+        if not in_degrees:
             # Whether there can be such a gaze.
             Gaze(x, y)
+        elif not (abs(x) <= _MOST_DEGREES and abs(y) <= _MOST_DEGREES):
+            raise ValueError("not in front of the viewer")
         return second, (x, y)
     except ValueError as error:
         within = f"{_MOST_DEGREES:g} degrees" if in_degrees else f"{FURTHEST} frames"
@@ -199,42 +198,21 @@ def simulated(display: Display, width: int, height: int, duration: float, seed: 
     seconds. Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984). Same seed, same
     trace.
     """
-    size = np.array([width, height])
-    saccades = _saccades(display, size, duration, np.random.default_rng(seed))
-    ends = [saccade.end for saccade in saccades]
+    size, rng = np.array([width, height]), np.random.default_rng(seed)
     seconds = np.arange(0, duration, 1 / _RATE).tolist()
-    positions = (saccades[bisect_right(ends, second)].at(second) / size for second in seconds)
-    return GazeTrace(tuple(seconds), tuple(Gaze(float(x), float(y)) for x, y in positions))
-
-
-@dataclass(frozen=True)
-class _Saccade:
-    """A saccade, begin and end in seconds, start and goal (2,) in pixels; and the fixation before it."""
-
-    begin: float
-    end: float
-    start: np.ndarray
-    goal: np.ndarray
-
-    def at(self, second: float) -> np.ndarray:
-        """(2,) gaze in pixels at a time up to the end."""
-        share = float(np.clip((second - self.begin) / (self.end - self.begin), 0, 1))
-        return self.start + (self.goal - self.start) * share**3 * (10 - 15 * share + 6 * share**2)
-
-
-def _saccades(
-    display: Display, size: np.ndarray, duration: float, rng: np.random.Generator
-) -> list[_Saccade]:
-    """Saccades, the first from the centre of a frame of size (2,), until the duration is over."""
-    here, end = size / 2, 0.0
-    saccades: list[_Saccade] = []
-    while end < duration:
-        begin = end + _FIXATION * float(np.exp(rng.normal(0, _FIXATION_SPREAD)))
-        there, degrees = _next(display, rng, here, size)
-        end = begin + _SACCADE + _SACCADE_PER_DEGREE * degrees
-        saccades.append(_Saccade(begin, end, here, there))
-        here = there
-    return saccades
+    gazes: list[Gaze] = []
+    # A saccade's begin and end in seconds, start and goal (2,) in pixels; the first one leaves the centre.
+    begin, end, start, goal = 0.0, 0.0, size / 2, size / 2
+    for second in seconds:
+        # A fixation, and the saccade after it.
+        while end <= second:
+            start, begin = goal, end + _FIXATION * float(np.exp(rng.normal(0, _FIXATION_SPREAD)))
+            goal, degrees = _next(display, rng, start, size)
+            end = begin + _SACCADE + _SACCADE_PER_DEGREE * degrees
+        share = float(np.clip((second - begin) / (end - begin), 0, 1))
+        x, y = (start + (goal - start) * share**3 * (10 - 15 * share + 6 * share**2)) / size
+        gazes.append(Gaze(float(x), float(y)))
+    return GazeTrace(tuple(seconds), tuple(gazes))
 
 
 def _next(

@@ -94,12 +94,14 @@ def allotted(worth: Any, have: Any, total: int, seed: int) -> int | Counts:
     low, high = dr.opaque(wide, 0.0), dr.opaque(wide, (most_have + most) / least_worth)
     # Opaque: what depends on the size of the disc would be compiled into kernels.
     limit, whole = dr.opaque(wide, most), dr.opaque(wide, total)
+    # Samples (D,) that bring pixels to a level of what they are worth.
+    due_at = lambda level: dr.clip(worth * level - have, least, limit)  # noqa: E731
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
-        few = dr.sum(_due(worth, have, level, least, limit)) < whole
+        few = dr.sum(due_at(level)) < whole
         low, high = dr.select(few, level, low), dr.select(few, high, level)
         dr.eval(low, high)
-    due = _due(worth, have, 0.5 * (low + high), least, limit)
+    due = due_at(0.5 * (low + high))
     start = dr.opaque(wide, np.random.default_rng(seed).random())
     end = dr.cumsum(due) * (whole / dr.sum(due))
     index = dr.arange(dr.uint32_array_t(wide), size)
@@ -111,11 +113,6 @@ def allotted(worth: Any, have: Any, total: int, seed: int) -> int | Counts:
     each = dr.uint32_array_t(type(end))(dr.maximum(end - before, 0))
     dr.eval(each)
     return Counts(each, total, int(most) + 2)
-
-
-def _due(worth: Any, have: Any, level: Any, least: Any, most: Any) -> Any:
-    """Samples (D,) that bring pixels to a level of what they are worth."""
-    return dr.clip(worth * level - have, least, most)
 
 
 def _relative(wide: Any, worth: Any) -> Any:

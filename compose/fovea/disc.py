@@ -174,13 +174,12 @@ def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> tuple[DeviceI
     Copying that would take longer than the blend. The fovea is three Floats (D,), linear radiance of the
     disc's pixels. Returns also what the periphery showed there, three Floats (D,).
     """
-    arrays = periphery.arrays
     if not disc.count:
         return periphery, [disc.weights] * 3
     behind = periphery.of_pixels(disc.pixels)
     if disc.covers_frame:
         # Nothing of the periphery is left.
-        return DeviceImage.filled(arrays, periphery.width, periphery.height, fovea), behind
+        return DeviceImage.filled(periphery.arrays, periphery.width, periphery.height, fovea), behind
     # Full weights copy instead of multiplying: 0 times a lamp's infinity is not 0.
     full = disc.weights >= 1
     values = [

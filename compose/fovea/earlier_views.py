@@ -101,6 +101,7 @@ class EarlierViews:
         now = self.moment.time
         while len({view.time, *self._times[~np.isnan(self._times)]} - {now}) > MOST_MOMENTS:
             self._drop_oldest()
+        plain, constant = self.arrays.plain, self.arrays.constant
         number, size, before = self._added % MOST_VIEWS, dr.width(view.gloss), self.samples
         self.viewpoints[number], self._times[number] = view.viewpoint, view.time
         self._sizes.append(size)
@@ -108,7 +109,10 @@ class EarlierViews:
         if before + size > self._room:
             self._grow(before, before + size)
         if size:
-            self._write(view, number, before)
+            tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
+            tag |= constant(number << _GLOSS_BITS)
+            slot = self._slot(dr.arange(plain.UInt, size) + constant(before))
+            self._scatter([*view.position, plain.Float(tag)], view.records, slot)
 
     def _drop_oldest(self) -> None:
         number = (self._added - len(self._sizes)) % MOST_VIEWS
@@ -146,14 +150,6 @@ class EarlierViews:
         self._places, self._records = self._empty()
         if moved:
             self._scatter(*moved)
-
-    def _write(self, view: EarlierView, number: int, start: int) -> None:
-        """Copies a view's samples to the ring, from an index on."""
-        plain = self.arrays.plain
-        tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
-        tag |= self.arrays.constant(number << _GLOSS_BITS)
-        slot = self._slot(dr.arange(plain.UInt, dr.width(tag)) + self.arrays.constant(start))
-        self._scatter([*view.position, plain.Float(tag)], view.records, slot)
 
     def _scatter(self, places: Any, records: Any, slot: Any) -> None:
         self.arrays.put_packet(self._places, places, slot)

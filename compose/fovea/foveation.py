@@ -103,25 +103,22 @@ class FoveaRegion:
         starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), self.width)
         counts = np.maximum(stops - starts, 0)
         used = np.flatnonzero(counts)
-        if not len(used):
-            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
         # Rows without a pixel, at the ends only, are left out.
-        rows = slice(int(used[0]), int(used[-1]) + 1)
-        counts, starts = counts[rows], starts[rows]
-        before, right = np.cumsum(counts) - counts, int((starts + counts).max())
-        return _Rows(int(top) + rows.start, starts, before, int(counts.sum()), right, down_squared[rows])
+        rows = slice(int(used[0]), int(used[-1]) + 1) if len(used) else slice(0, 0)
+        return _Rows(int(top) + rows.start, starts[rows], counts[rows], down_squared[rows])
 
-    @property
+    @cached_property
     def count(self) -> int:
         """D, the number of the disc's pixels."""
-        return self._rows.count
+        return int(self._rows.count.sum())
 
     @cached_property
     def pixels(self) -> NDArray[np.uint32]:
         """(D,) row-major indices of the pixels, in host memory."""
-        counts = np.diff(np.append(self._rows.before, self.count))
-        first = (self._rows.top + np.arange(len(counts))) * self.width + self._rows.start - self._rows.before
-        return (np.arange(self.count) + np.repeat(first, counts)).astype(np.uint32)
+        rows = self._rows
+        first = (rows.top + np.arange(len(rows.start))) * self.width + rows.start
+        first -= np.cumsum(rows.count) - rows.count
+        return (np.arange(self.count) + np.repeat(first, rows.count)).astype(np.uint32)
 
     def weight_image(self) -> NDArray[np.float32]:
         """(H, W) weight of the path-traced radiance, in host memory; that of the splats is one minus it."""
@@ -147,7 +144,7 @@ class FoveaRegion:
         """
         rows = self._rows
         down = _evenly(rows.top, rows.top + len(rows.start), self.height)
-        return down, _evenly(int(rows.start.min()), rows.right, self.width)
+        return down, _evenly(int(rows.start.min()), int((rows.start + rows.count).max()), self.width)
 
     def disc(self, arrays: Arrays) -> Disc:
         """The pixels and their weights on the device."""
@@ -166,9 +163,9 @@ class FoveaRegion:
             of the splats' weight. And P, a power of two that is at least the number of rows.
         """
         rows = self._rows
-        size = 1 << max(len(rows.before) - 1, 63).bit_length()
-        fill = 0, size - len(rows.before)
-        before = np.pad(rows.before, fill, constant_values=self.count)
+        size = 1 << max(len(rows.start) - 1, 63).bit_length()
+        fill = 0, size - len(rows.start)
+        before = np.pad(np.cumsum(rows.count) - rows.count, fill, constant_values=self.count)
         integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]])
         numbers = [0.5 - self.centre[0], *self._slope, self.faded]
         floats = np.concatenate([np.pad(rows.down_squared, fill), numbers]).astype(np.float32)
@@ -195,17 +192,15 @@ class FoveaRegion:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Pixels of a disc in R rows, from the `top` one on: their number, and the largest column plus 1.
+    """Pixels of a disc in R rows, from the `top` one on.
 
-    Of each row (R,) there are the first column, the number of pixels above, and the squared distance from the
+    Of each row (R,) there are the first column, the number of pixels, and the squared distance from the
     centre.
     """
 
     top: int
     start: NDArray[np.int64]
-    before: NDArray[np.int64]
-    count: int
-    right: int
+    count: NDArray[np.int64]
     down_squared: NDArray[np.float64]
 
 

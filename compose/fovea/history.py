@@ -134,11 +134,22 @@ class History:
         """Makes the camera's view the current one, and adds auxiliary features of it.
 
         These are of some pixels `seen` in a disc, as means over a number of sample positions; the light of
-        `seen` does not count. The seed is that of the samples to come.
+        `seen` does not count. The seed is that of the samples to come. The view before, if of the same size,
+        becomes an earlier one.
         """
-        self._view = self._entered(camera, seen, seed, disc)
+        view = self._view
+        if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
+            self._earlier.clear()
+            self._past = None
+            view = _View(self._arrays, camera, self._earlier.moment, seed)
+        elif self._view_of(camera) is None:
+            self._earlier.add(view.as_earlier(self._earlier.moment))
+            assert disc.box is not None, "a view is entered with a pixel of it"
+            self._past = reproject(self._earlier, camera, seen, disc.box)
+            view.begin(camera, self._earlier.moment, seed)
+        self._view = view
         if seen.size:
-            self._view.add_features(seen, positions)
+            view.add_features(seen, positions)
 
     def recall(self, pixels: Any) -> Samples:
         """What is known of pixels (D,) of the current view, all of which have been seen."""
@@ -169,20 +180,6 @@ class History:
         view = self._view
         if view is None or view.camera != camera or view.moment.time != self._earlier.moment.time:
             return None
-        return view
-
-    def _entered(self, camera: Camera, seen: Samples, seed: int, disc: Disc) -> _View:
-        """The camera's view now; the view before it, if of the same size, becomes an earlier one."""
-        view = self._view
-        if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
-            self._earlier.clear()
-            self._past = None
-            view = _View(self._arrays, camera, self._earlier.moment, seed)
-        elif self._view_of(camera) is None:
-            self._earlier.add(view.as_earlier(self._earlier.moment))
-            assert disc.box is not None, "a view is entered with a pixel of it"
-            self._past = reproject(self._earlier, camera, seen, disc.box)
-            view.begin(camera, self._earlier.moment, seed)
         return view
 
 

@@ -51,12 +51,18 @@ class VisibleSurfaces:
     @staticmethod
     def of(arrays: Arrays, camera: Camera, new: Samples, box: Box) -> VisibleSurfaces:
         """The surfaces that samples of a camera's view hit, at least one, all of which lie in a rectangle."""
-        height, width = shape_of(box)
+        plain, (height, width) = arrays.plain, shape_of(box)
         # A frame of one pixel around the rectangle spares its edges a test.
         row, column = arrays.rows_columns(new.pixels, camera.width)
         top, left = (arrays.constant(side.start) for side in box)
         target = (row - top + 1) * arrays.constant(width + 2) + (column - left + 1)
-        sampled = _sampled(arrays, camera, new, target, (height + 2) * (width + 2))
+        sight = _relative(arrays, new.position, _eye(arrays, camera))
+        distance = plain.Float(dr.sqrt(_product(sight, sight)))
+        specular = dr.select(new.gloss == SPECULAR, plain.Float(1), 0)
+        # Distance of what a sample hits, or -1; and 1 if that is specular.
+        sampled = dr.full(plain.Float, -1, _SAMPLED * (height + 2) * (width + 2))
+        arrays.put_packet(sampled, [distance, specular], target)
+        dr.eval(sampled)
         return VisibleSurfaces(arrays, box, _around(arrays, sampled, height, width))
 
     def contain(self, pixel: Any, distance: Any, gloss: Any, active: Any) -> Any:
@@ -69,18 +75,6 @@ class VisibleSurfaces:
         same = active & (distance >= around[0]) & (distance <= around[1])
         # Specular objects are thin in places, and what is visible beside them is far behind them.
         return same & ((around[2] == 0) | (gloss == SPECULAR))
-
-
-def _sampled(arrays: Arrays, camera: Camera, new: Samples, target: Any, size: int) -> Any:
-    """Flat Float of `size` pixels: distance of what a sample hits, or -1; and 1 if that is specular."""
-    plain = arrays.plain
-    sight = _relative(arrays, new.position, _eye(arrays, camera))
-    distance = plain.Float(dr.sqrt(_product(sight, sight)))
-    specular = dr.select(new.gloss == SPECULAR, plain.Float(1), 0)
-    table = dr.full(plain.Float, -1, _SAMPLED * size)
-    arrays.put_packet(table, [distance, specular], target)
-    dr.eval(table)
-    return table
 
 
 def _around(arrays: Arrays, sampled: Any, height: int, width: int) -> Any:

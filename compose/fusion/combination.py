@@ -56,7 +56,11 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
     height, width = parents.traced.shape[:2]
     with torch.inference_mode():
         images = {name: as_batch(getattr(parents, name)) for name in IMAGES}
-        least, most, finite, mean_count = _facts(images)
+        # The least and the largest radiance of the parents, whether features are finite, and the mean count:
+        # together, since a card is waited for. A number that is none is the least and the largest one, too.
+        ends = torch.aminmax(torch.cat([images[name] for name in PARENTS]))
+        known = torch.isfinite(images["albedo"] + images["normal"]).all().to(ends.min.dtype)
+        least, most, finite, mean_count = torch.stack([*ends, known, images["count"].mean()]).tolist()
         plain, excluded = least >= 0 and most <= MOST and finite == 1, 0
         if not plain:
             images, excluded = _usable(images)
@@ -74,17 +78,6 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         weights[:, 0:1] += 1 - share  # traced
     radiance, weights = (of[0, :, :height, :width].permute(1, 2, 0) for of in (radiance, weights))
     return Fused(radiance, weights, excluded)
-
-
-def _facts(images: Mapping[str, Tensor]) -> list[float]:
-    """Of the parents the least and the largest radiance, whether features are finite, and the mean count.
-
-    Together, since a card is waited for. A number that is none is the least and the largest one, too.
-    """
-    ends = torch.aminmax(torch.cat([images[name] for name in PARENTS]))
-    finite = torch.isfinite(images["albedo"] + images["normal"]).all()
-    facts: list[float] = torch.stack([*ends, finite.to(ends.min.dtype), images["count"].mean()]).tolist()
-    return facts
 
 
 def _first_estimate(

@@ -61,28 +61,21 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
     The seed is that of the trial networks; progress is told the steps done and the steps in total.
     """
     views = sorted({example.view for example in examples})
-    halves = set(views[::2]), set(views[1::2])
+    halves = [half for half in (set(views[::2]), set(views[1::2])) if half]
     total = TRIAL_ITERATIONS * trials(len(views))
     cells: dict[Cell, dict[int, list[_Errors]]] = defaultdict(lambda: defaultdict(list))
     for number, tried in enumerate(halves):
         learnt = [example for example in examples if example.view not in tried]
-        if not learnt or not tried:
-            continue
         advance = lambda done, _, before=TRIAL_ITERATIONS * number: progress(before + done, total)  # noqa: E731
-        trial = fit(learnt, seed, advance, TRIAL_ITERATIONS)
+        # Of a single view, nothing is known about the network, but which parent is better.
+        trial = fit(learnt, seed, advance, TRIAL_ITERATIONS) if learnt else Fusion()
         for example in examples:
             if example.view in tried:
-                cells[_cell(example)][example.view].append(_errors(trial, example))
-    if not cells:
-        # A single view: nothing is known about the network, but which parent is better.
-        for example in examples:
-            cells[_cell(example)][example.view].append(_errors(Fusion(), example))
+                parents = example.parents
+                count = float(np.exp(np.log(parents.count).mean()))
+                cell = cell_of(parents.quick, count, parents.enlargement)
+                cells[cell][example.view].append(_errors(trial, example))
     return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
-
-
-def _cell(example: Example) -> Cell:
-    parents = example.parents
-    return cell_of(parents.quick, float(np.exp(np.log(parents.count).mean())), parents.enlargement)
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
@@ -108,14 +101,10 @@ def _proof(cells: dict[Cell, dict[int, _Errors]]) -> Proof:
     shape = 2, len(COUNTS), len(ENLARGEMENTS)
     shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
     for index in np.ndindex(shape):
-        shares[index], gains[index] = found[min(found, key=lambda cell: _distance(cell, index))]
+        # How far cells are: the denoiser matters least, the enlargement most.
+        nearest = min(found, key=lambda cell: tuple(np.abs(np.subtract(cell, index))[::-1]))
+        shares[index], gains[index] = found[nearest]
     return Proof(shares, gains)
-
-
-def _distance(one: Sequence[int], other: Sequence[int]) -> tuple[int, ...]:
-    """Orders cells by how far they are: the denoiser matters least, the enlargement most."""
-    quick, count, enlargement = (abs(a - b) for a, b in zip(one, other, strict=True))
-    return enlargement, count, quick
 
 
 def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:

@@ -16,7 +16,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import correlate, maximum_filter
 
 from compose.image.colour import Image
 
@@ -54,18 +54,12 @@ def filled(image: Image, wrong: NDArray[np.bool_]) -> Image:
 
     Those without such a neighbour are black.
     """
-    right = np.where(wrong, 0, image).astype(np.float64)
-    total, count = (_summed_around(of) for of in (right, (~wrong).astype(np.float64)))
+    right, known = np.where(wrong, 0, image).astype(np.float64), (~wrong).astype(np.float64)
+    # Sums over 3 x 3 pixels.
+    total, count = (correlate(of, _AROUND[..., None], mode="constant") for of in (right, known))
     return np.where(wrong, total / np.maximum(count, 1), image).astype(np.float32)
 
 
 def _brightness(image: Image) -> NDArray[np.float32]:
     """(H, W) brightest channel; 0 where one is not finite."""
     return np.where(np.isfinite(image), image, 0).max(axis=2)
-
-
-def _summed_around(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(H, W, C) sums over 3 x 3 pixels."""
-    height, width = image.shape[:2]
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
-    return np.sum([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)

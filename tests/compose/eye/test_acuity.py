@@ -12,7 +12,6 @@ from compose.eye.acuity import (
     acuity_model_named,
     fov_gs,
     geisler_perry,
-    with_saliency,
 )
 
 
@@ -64,10 +63,6 @@ def test_cutoffs_never_rise_and_are_never_nan(name):
     assert (cutoff > 0.1).all()
     if name != "none":
         assert (np.diff(cutoff) <= 1e-9).all()
-
-
-def test_saliency_raises_the_cutoff_by_up_to_two_fifths():
-    np.testing.assert_allclose(with_saliency(np.array([5.0, 5, 5]), np.array([0.0, 0.5, 1])), [5, 6, 7])
 
 
 def test_models_by_name():

@@ -206,13 +206,14 @@ def test_saliency_does_not_change_the_level_under_fov_gs():
         assert (sharpened.step_index <= plain.step_index).all()
 
 
-def test_saliency_raises_the_cutoff_where_it_is_high():
+def test_saliency_raises_the_cutoff_by_up_to_two_fifths_where_it_is_high():
     plain = desktop("fov-gs")
     salient = np.zeros(CORNERS, np.float32)
-    salient[:, 90:] = 1
+    salient[:, 70:90], salient[:, 90:] = 0.5, 1
     drawn = desktop("fov-gs", saliency=salient)
-    right, left = np.s_[:, -10:], np.s_[:, :60]
+    right, middle, left = np.s_[:, -10:], np.s_[:, 70:90], np.s_[:, :60]
     np.testing.assert_allclose(drawn.cutoff[right], np.minimum(plain.cutoff[right] * 1.4, 0.5), rtol=1e-5)
+    np.testing.assert_allclose(drawn.cutoff[middle], np.minimum(plain.cutoff[middle] * 1.2, 0.5), rtol=1e-5)
     np.testing.assert_allclose(drawn.cutoff[left], plain.cutoff[left], rtol=1e-6)
 
 

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from compose.eye.detail import CELL, at_corners, corner_positions, per_pixel
+from compose.eye.detail import CELL, DetailMap, at_corners, corner_positions
+
+
+def per_pixel(lattice: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W) values of a map's lattice at the pixels of its frame."""
+    return DetailMap(width, height, 1, lattice, lattice, lattice, (), lattice).per_pixel(lattice)
 
 
 def test_corners_enclose_the_frame():

@@ -265,6 +265,6 @@ def test_the_search_folders_are_as_before_once_a_scene_is_loaded(backend, tmp_pa
 def test_names_that_no_file_can_have_are_no_candidates(tmp_path):
     file = scene(tmp_path, MESH.format("n" * 5000), {})
     references = References(file, parse_xml(file))
-    assert references.names == ["n" * 5000]
-    assert not list(references.candidates(references.names[0]))
+    assert references.names == [("n" * 5000, tmp_path)]
+    assert not list(references.candidates(*references.names[0]))
     assert fingerprint(file)
