@@ -6,7 +6,6 @@ Standard output holds results only.
 from __future__ import annotations
 
 import logging
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -63,7 +62,7 @@ _LINE_EVERY = 15.0
 def progress_bar(title: str) -> Iterator[Bar]:
     """A progress bar for one job, with the elapsed time and the time left; a line now and then in a file."""
     # Colours may be forced into a file, or a terminal know no control sequences: bars need one that does.
-    if console.is_dumb_terminal or not sys.stderr.isatty():
+    if console.is_dumb_terminal or not console.file.isatty():
         yield _lines(title)
         return
     columns = (

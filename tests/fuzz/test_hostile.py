@@ -140,24 +140,23 @@ PLY = "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{}end_header\n"
     [
         pytest.param(
             10**17,
-            "100,000,000,000,000,000 Gaussians; at most",
+            "element vertex 100000000000000000: not a number of rows that it can hold",
             marks=extreme(
                 "PLY of 10^17 Gaussians", given="declared by a file of 700 bytes", expected="refused"
             ),
         ),
         pytest.param(
             40_000_000,
-            "truncated, 40000000 Gaussians are announced",
+            "element vertex 40000000: not a number of rows that it can hold",
             marks=extreme(
                 "PLY beyond its bytes", given="40 million Gaussians declared by 700 bytes", expected="refused"
             ),
         ),
     ],
 )
-def test_a_ply_that_declares_what_is_not_there_is_refused(count, said, tmp_path, monkeypatch, got):
+def test_a_ply_that_declares_what_is_not_there_is_refused(count, said, tmp_path, got):
     names = [line for line in _ply_header(tmp_path) if line.startswith("property")]
     (tmp_path / "b.ply").write_text(PLY.format(count, "\n".join(names) + "\n"))
-    monkeypatch.setattr(np, "fromfile", None)
     with pytest.raises(UserError, match=said) as caught:
         load_ply(tmp_path / "b.ply")
     got(str(caught.value).replace(str(tmp_path), ""))

@@ -6,6 +6,7 @@ import os
 import stat
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -177,3 +178,72 @@ def test_sizes_are_asked_for_before_reading(tmp_path):
         require_size_below(Path("/dev/zero"), 4)
     with pytest.raises(FileNotFoundError):
         require_size_below(tmp_path / "b", 4)
+
+
+def test_a_link_stays_and_its_file_is_written(tmp_path):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    for name, target in (("a", scratch / "a.txt"), ("b", scratch / "new.txt")):
+        (tmp_path / name).symlink_to(target)
+    (scratch / "a.txt").write_text("old")
+    for name in "ab":
+        write_whole(tmp_path / name, lambda part: part.write_text("new"))
+        assert (tmp_path / name).is_symlink()
+    assert [(scratch / name).read_text() for name in ("a.txt", "new.txt")] == ["new", "new"]
+    assert sorted(os.listdir(scratch)) == ["a.txt", "new.txt"]
+
+
+def test_links_in_a_circle_are_refused(tmp_path):
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(UserError, match=r"a: cannot be written"):
+        write_whole(tmp_path / "a", lambda part: part.write_text("new"))
+    assert (tmp_path / "a").is_symlink()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_gets_the_content_or_nothing(tmp_path):
+    pipe, got = tmp_path / "pipe.json", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader.start()
+    with pytest.raises(UserError, match="No space left"):
+        write_whole(pipe, failed)
+    write_whole(pipe, lambda part: part.write_text("content"))
+    reader.join()
+    assert got == ["content"]
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+def failed(part: Path) -> None:
+    part.write_text("half")
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.skipif(not Path("/dev/null").is_char_device(), reason="needs /dev/null")
+def test_a_device_takes_the_content(tmp_path):
+    (tmp_path / "null").symlink_to("/dev/null")
+    for path in (tmp_path / "null", Path("/dev/null")):
+        write_whole(path, lambda part: part.write_text("content"))
+    assert (tmp_path / "null").is_symlink()
+    assert Path("/dev/null").is_char_device()
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs /proc")
+@pytest.mark.parametrize("name", ["/dev/stdout", "/proc/self/fd/1", "link"])
+def test_what_goes_to_the_standard_output_comes_between_what_is_printed(tmp_path, name):
+    """Also where that is a file."""
+    (tmp_path / "link").symlink_to("/dev/stdout")
+    script = f"""
+from pathlib import Path
+from compose.base.files import write_whole
+print("before")
+write_whole(Path({name!r}), lambda part: part.write_text("content\\n"))
+print("after")
+"""
+    with (tmp_path / "out.txt").open("wb") as out:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        subprocess.run([sys.executable, "-c", script], stdout=out, check=True, cwd=tmp_path, env=environment)
+    assert (tmp_path / "out.txt").read_text().split() == ["before", "content", "after"]
+    assert (tmp_path / "link").is_symlink()

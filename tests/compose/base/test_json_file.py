@@ -62,3 +62,8 @@ def test_files_that_are_too_large_or_no_text_are_refused(tmp_path):
         read_json(tmp_path / "a")
     with pytest.raises(ValueError, match="5 bytes; at most 4"):
         read_json(tmp_path / "a", 4)
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path):
+    (tmp_path / "a").write_text('{"a": "ü"}', encoding="utf-8-sig")
+    assert read_json(tmp_path / "a") == {"a": "ü"}

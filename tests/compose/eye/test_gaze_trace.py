@@ -35,6 +35,12 @@ def test_time_starts_at_the_first_row(tmp_path):
     assert load_gaze_trace(file) == expected
 
 
+def test_spreadsheets_write_byte_order_marks_and_empty_lines(tmp_path):
+    file = tmp_path / "gaze.csv"
+    file.write_text("seconds,x,y\r\n0,0.5,0.5\r\n\r\n0.5,0.25,0.75\r\n,,\r\n", encoding="utf-8-sig")
+    assert load_gaze_trace(file) == GazeTrace((0, 0.5), (Gaze(0.5, 0.5), Gaze(0.25, 0.75)))
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

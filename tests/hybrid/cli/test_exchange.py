@@ -81,3 +81,10 @@ def test_a_gltf_file_in_which_nothing_moves_says_so(monkeypatch, tmp_path, capsy
 def test_options_of_gltf_are_refused_for_ply(option, monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, "import", tmp_path / "a.ply", tmp_path / "a.forest", *option) == 2
     assert "--fps, --animation: only of .glb and .gltf files" in capsys.readouterr().err
+
+
+def test_only_ply_files_are_exported(made, monkeypatch, tmp_path, capsys):
+    for name in ("a.splat", "a.spz", "a"):
+        assert run(monkeypatch, "export", made / "box.forest", tmp_path / name) == 2
+        assert f"{name}: must end in .ply, the only format that is written" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -12,10 +12,17 @@ from hybrid.cli import progress
 from hybrid.cli.progress import progress_bar
 
 
+class Screen(io.StringIO):
+    """What a terminal shows."""
+
+    def isatty(self) -> bool:
+        return True
+
+
 @pytest.fixture
 def shown(monkeypatch):
     """What the bar writes to a terminal."""
-    screen = io.StringIO()
+    screen = Screen()
     monkeypatch.setattr(progress, "console", Console(file=screen, force_terminal=True, width=120))
     return screen
 
@@ -52,9 +59,15 @@ def test_messages_are_lines_while_a_command_runs(capsys):
     assert said.count("\n") == 1
 
 
-def test_a_file_gets_a_line_now_and_then(monkeypatch):
-    screen, clock = io.StringIO(), iter([0.0, 5.0, 20.0, 22.0, 40.0])
-    monkeypatch.setattr(progress, "console", Console(file=screen, width=40))
+@pytest.mark.parametrize("where", ["file", "file of a log with colours", "dumb terminal"])
+def test_where_no_bar_can_be_drawn_there_is_a_line_now_and_then(monkeypatch, where):
+    screen, clock = (
+        Screen() if where == "dumb terminal" else io.StringIO(),
+        iter([0.0, 5.0, 20.0, 22.0, 40.0]),
+    )
+    how = {"FORCE_COLOR": "1"} if "colours" in where else {"TERM": "dumb"}
+    console = Console(file=screen, width=40, _environ={} if where == "file" else how, no_color=True)
+    monkeypatch.setattr(progress, "console", console)
     monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
     with progress_bar("capture (samples)") as bar:
         for done in (1, 4, 5, 10):

@@ -228,3 +228,12 @@ def test_paths_end_early_in_foveas_that_are_biased_anyway(fovea, given, used):
     settings = FrameSettings(fovea=fovea, integrator=given)
     assert settings.used_integrator is Integrator(used)
     assert settings.as_json()["integrator"] == used
+
+
+def test_numbers_of_numpy_are_numbers():
+    given = FrameSettings(spp=np.int64(2), rate=np.uint8(1), fov_a=np.float32(25), gaze=np.array([0.4, 0.6]))
+    assert (given.spp, given.rate, given.fov_a, given.gaze) == (2, 1, 25.0, Gaze(0.4, 0.6))
+    assert [type(value) for value in (given.spp, given.rate, given.fov_a)] == [int, int, float]
+    json.dumps(given.as_json())
+    with pytest.raises(UserError, match="spp 0: must be a whole number"):
+        FrameSettings(spp=np.int64(0))

@@ -6,13 +6,16 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from compose.base.errors import UserError
-from pathtrace.dataset.posed_layouts import is_posed_folder, read_posed_folder
+from compose.image.colour import srgb_from_radiance
+from pathtrace.dataset.posed_images import Lens, read_pixels
+from pathtrace.dataset.posed_layouts import NERFSTUDIO, is_posed_folder, read_posed_folder
 from tests import posed
 from tests.extremes import extreme
 
@@ -45,6 +48,84 @@ def test_validation_frames_are_held_out_where_there_are_no_test_frames(tmp_path)
     folder = posed.write_synthetic(tmp_path / "a")
     (folder / "transforms_test.json").rename(folder / "transforms_val.json")
     assert len(read_posed_folder(folder).held_out) == 2
+
+
+LENS = {"w": 96, "h": 64, "fl_x": 90.0, "fl_y": 80.0, "cx": 50.0, "cy": 30.0, "k1": -0.05, "p2": 0.01}
+
+
+def described_together(folder: Path, count: int = 6, **more: Any) -> Path:
+    """A folder in the layout of nerfstudio, with images of half the size that its cameras have."""
+    posed.write_synthetic(folder, training=count, held_out=0, moving=False)
+    content = json.loads((folder / "transforms_train.json").read_text())
+    frames = [{**frame, "file_path": frame["file_path"] + ".png"} for frame in content["frames"]]
+    for name in ("transforms_train.json", "transforms_test.json"):
+        (folder / name).unlink()
+    (folder / "transforms.json").write_text(json.dumps({**LENS, "frames": frames, **more}))
+    return folder
+
+
+def test_cameras_of_nerfstudio_have_their_lens_at_the_size_of_their_images(tmp_path):
+    found = read_posed_folder(described_together(tmp_path / "a"))
+    assert found.layout == NERFSTUDIO
+    assert len(found.training) == 6
+    for number, image in enumerate(found.images):
+        camera = image.camera
+        assert np.allclose(camera.world_to_camera, posed.camera(number).world_to_camera, atol=1e-12)
+        assert (camera.width, camera.height) == (posed.WIDTH, posed.HEIGHT)
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((45, 40, 25, 15))
+        assert image.lens == Lens((-0.05, 0.0, 0.0), (0.0, 0.01))
+
+
+def test_a_frame_may_have_a_lens_of_its_own(tmp_path):
+    folder = described_together(tmp_path / "a")
+    edited(folder / "transforms.json", lambda content: content["frames"][2].update(fl_x=100.0, k1=0, p2=0))
+    images = read_posed_folder(folder).images
+    assert [image.camera.fx for image in images[1:4]] == pytest.approx([45, 50, 45])
+    assert images[2].lens is None
+
+
+@pytest.mark.parametrize(
+    ("more", "held_out"),
+    [
+        ({}, [0, 8]),
+        ({"test_filenames": ["./train/r_003.png"], "val_filenames": ["train/r_001.png"]}, [3]),
+        ({"val_filenames": ["train/r_001.png"]}, [1]),
+    ],
+)
+def test_nerfstudio_says_what_is_held_out_else_every_eighth_frame_is(tmp_path, more, held_out):
+    images = read_posed_folder(described_together(tmp_path / "a", 10, **more)).images
+    assert [number for number, image in enumerate(images) if image.held_out] == held_out
+
+
+def test_a_frame_set_of_ones_own_is_no_folder_of_posed_images(tmp_path):
+    folder = described_together(tmp_path / "a")
+    assert is_posed_folder(folder)
+    edited(folder / "transforms.json", lambda content: content.update(format_version=1))
+    assert not is_posed_folder(folder)
+
+
+def test_images_may_be_jpeg_and_named_as_windows_does(tmp_path):
+    folder = posed.write_synthetic(tmp_path / "a", alpha=False)
+    for file in folder.rglob("*.png"):
+        Image.open(file).convert("RGB").save(file.with_suffix(".jpg"), quality=95)
+        file.unlink()
+    edited(
+        folder / "transforms_train.json",
+        lambda content: content["frames"][1].update(file_path="train\\r_001.jpg"),
+    )
+    found = read_posed_folder(folder)
+    assert {image.file.suffix for image in found.images} == {".jpg"}
+    _, _, colour = posed.cast(posed.camera(0), 0.0)
+    shown = srgb_from_radiance(read_pixels(found.images[0]).radiance)
+    assert np.abs(shown - colour).mean() < 0.03
+
+
+def test_a_field_of_view_may_be_given_for_each_side(tmp_path):
+    folder = posed.write_synthetic(tmp_path / "a")
+    angle = 2 * np.arctan(posed.HEIGHT / 2 / 30.0)
+    edited(folder / "transforms_train.json", lambda content: content.update(camera_angle_y=angle))
+    camera = read_posed_folder(folder).images[0].camera
+    assert (camera.fx, camera.fy) == pytest.approx((posed.FOCAL, 30))
 
 
 def test_frames_of_nerfies_are_scaled_around_their_centre(tmp_path):
@@ -152,12 +233,19 @@ SYNTHETIC = {
     ),
     "no field of view": (
         lambda f: edited(f / "transforms_train.json", lambda content: content.pop("camera_angle_x")),
-        "it has no 'camera_angle_x'",
+        "frame 0 has no 'camera_angle_x'",
     ),
     "a field of view of a whole turn": (
         lambda f: edited(f / "transforms_train.json", lambda content: content.update(camera_angle_x=6.3)),
         "camera_angle_x 6.3: must be in radians",
     ),
+    "a lens that sees all around": (
+        frame_of(1, camera_model="OPENCV_FISHEYE"),
+        "frame 1: camera_model OPENCV_FISHEYE: must be one of OPENCV",
+    ),
+    "a coefficient of a fisheye": (frame_of(0, k4=0.1), "k4 0.1: only k1, k2, k3, p1 and p2 are known"),
+    "no focal length": (frame_of(0, fl_x=0), "w, h, fl_x and fl_y must be positive"),
+    "an endless coefficient": (frame_of(0, fl_x=40, p1=1e400), "is not a number"),
     "a text as an image": (
         lambda f: (f / "train/r_001.png").write_text("hello"),
         "r_001.png: not a readable image",

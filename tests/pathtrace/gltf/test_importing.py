@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -45,6 +46,66 @@ def vertices(scene, name, time):
         shape = dict(zip(scene.moving.motion.shapes, scene.moving.shapes, strict=True))[name]
     positions = np.reshape(mi.traverse(shape)["vertex_positions"].numpy(), (-1, 3)).astype(np.float64)
     return positions * scene.place.unit + np.array(scene.place.origin)
+
+
+@pytest.mark.parametrize(
+    ("light", "cone"),
+    [
+        # A quarter turn in float32 is a little more.
+        (
+            {"type": "spot", "spot": {"innerConeAngle": 0.7, "outerConeAngle": float(np.float32(np.pi / 2))}},
+            (40.107, 90),
+        ),
+        ({"type": "spot", "spot": {"innerConeAngle": 0.5, "outerConeAngle": 0.5}}, (28.619, 28.648)),
+        ({"type": "point", "spot": None}, None),
+    ],
+)
+def test_cones_are_clamped_to_what_a_spot_can_be(tmp_path, light, cone):
+    building = Building()
+    still_floor(building)
+    building.tree["extensions"] = {"KHR_lights_punctual": {"lights": [light]}}
+    building.node(name="lamp", extensions={"KHR_lights_punctual": {"light": 0}})
+    scene, _ = imported(building, tmp_path)
+    root = ET.parse(tmp_path / "scene" / "scene.xml").getroot()
+    (emitter,) = root.findall("emitter")
+    numbers = {one.get("name"): float(one.get("value")) for one in emitter.findall("float")}
+    expected = {} if cone is None else {"beam_width": cone[0], "cutoff_angle": cone[1]}
+    assert numbers == pytest.approx(expected, abs=1e-3)
+    assert len(scene.mitsuba.emitters()) == 1
+
+
+def test_a_folder_that_is_there_stays_and_so_do_links_to_it(tmp_path, monkeypatch):
+    building = Building()
+    still_floor(building)
+    file = building.save(tmp_path / "a.glb")
+    (tmp_path / "here").mkdir()
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "link").symlink_to("disk")
+    monkeypatch.chdir(tmp_path / "here")
+    for folder, place in ((Path(), tmp_path / "here"), (tmp_path / "link", tmp_path / "disk")):
+        before = place.stat().st_ino
+        import_gltf(file, folder)
+        assert place.stat().st_ino == before
+        assert (place / "scene.xml").is_file()
+        assert not [one for one in place.iterdir() if one.name.startswith(".")]
+    assert (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "remark", "starts", "ends"),
+    [
+        ([-1, 0, 1], [[9, 0, 0], [0, 0, 0], [1, 0, 0]], "starts before 0", 0, 1),
+        ([0, 1, 1, 2], [[0, 0, 0], [1, 0, 0], [5, 0, 0], [6, 0, 0]], "keyframes at the same time", 0, 6),
+    ],
+)
+def test_keyframes_of_others_are_played_from_0_and_once_a_time(tmp_path, times, values, remark, starts, ends):
+    building = Building()
+    node = building.node(mesh=building.mesh(QUAD, QUAD_FACES), name="quad")
+    building.animation((node, "translation", times, values, "LINEAR"))
+    scene, found = imported(building, tmp_path)
+    assert any(remark in one for one in found.remarks)
+    for time, shift in ((0.0, starts), (1.0, ends)):
+        np.testing.assert_allclose(vertices(scene, "quad", time), np.add(QUAD, [shift, 0, 0]), atol=1e-4)
 
 
 def still_floor(building):

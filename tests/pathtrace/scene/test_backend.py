@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ctypes.util
+import os
+import subprocess
+import sys
 
 import drjit as dr
 import mitsuba as mi
@@ -82,3 +85,32 @@ def test_an_old_llvm_that_was_loaded_before_is_reported(unselected):
         select_backend("llvm")
     unselected.setattr(dr.detail, "llvm_version", lambda: (19, 1, 0))
     assert select_backend("llvm").variant == LLVM_VARIANT
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_fork_is_refused_at_once(backend, tmp_path):
+    """Where Dr.Jit would wait for threads that are not there."""
+    script = """
+import os
+import hybrid
+from pathtrace.trace.tracer import Tracer
+scene = hybrid.load_scene("cornell")
+child = os.fork()
+if not child:
+    said = []
+    for use in (lambda: hybrid.load_scene("cornell"), lambda: Tracer(scene)):
+        try:
+            use()
+        except hybrid.UserError as error:
+            said.append("is a fork of one that renders" in str(error))
+    os._exit(0 if said == [True, True] else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), Tracer(scene).scene is scene)
+"""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        "HYBRID_HOME": str(tmp_path),
+    }
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, env=environment)
+    assert done.stdout.split() == ["0", "True"]

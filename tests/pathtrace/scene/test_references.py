@@ -41,6 +41,13 @@ INDIRECT = {
         '<include filename="a.xml"/>',
         {"a.xml": PART.format('<include filename="b.xml"/>'), "b.xml": PART.format(MESH.format("m.obj"))},
     ),
+    "include beside an include": (
+        '<include filename="sub/a.xml"/>',
+        {
+            "sub/a.xml": PART.format('<include filename="b.xml"/>'),
+            "sub/b.xml": PART.format(MESH.format("m.obj")),
+        },
+    ),
     "include in a group": (
         '<shape type="shapegroup" id="g"><include filename="part.xml"/></shape>'
         '<shape type="instance"><ref id="g"/></shape>',

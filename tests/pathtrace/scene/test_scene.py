@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
+import mitsuba as mi
+import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from pathtrace.scene import scene as scene_module
 from pathtrace.scene.scene import load_scene
 from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH
 from tests import small
@@ -138,3 +142,94 @@ print(*(load_scene(name).name for name in bundled_scenes()))
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert "room" in done.stdout.split()
+
+
+def test_a_link_finds_its_files_beside_it(tmp_path):
+    """As hubs keep what was downloaded: links to files in a store."""
+    (tmp_path / "store").mkdir()
+    (tmp_path / "snapshot").mkdir()
+    shape = '<shape type="obj"><string name="filename" value="m.obj"/></shape></scene>'
+    content = MINIMAL.format(sensor=SENSOR, emitter=EMITTER).replace("</scene>", shape)
+    (tmp_path / "store" / "1").write_text(content)
+    (tmp_path / "store" / "2").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for name, blob in (("scene.xml", "1"), ("m.obj", "2")):
+        (tmp_path / "snapshot" / name).symlink_to(tmp_path / "store" / blob)
+    loaded = load_scene(tmp_path / "snapshot")
+    assert (loaded.name, loaded.triangles) == ("snapshot", 1)
+
+
+def test_xml_text_is_a_scene_whose_files_lie_in_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    shape = '<shape type="obj"><string name="filename" value="m.obj"/></shape></scene>'
+    text = "\n" + MINIMAL.format(sensor=SENSOR, emitter=EMITTER).replace("</scene>", shape)
+    loaded = load_scene(text)
+    assert (loaded.name, loaded.triangles, loaded.max_depth) == ("text", 1, 5)
+    (tmp_path / "m.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert load_scene(text).hash != loaded.hash
+    with pytest.raises(UserError, match="not well-formed XML"):
+        load_scene("<scene")
+
+
+def test_the_hash_of_a_dictionary_follows_what_it_holds(tmp_path):
+    file = tmp_path / "m.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+
+    def digest(red: float) -> str:
+        image = mi.Bitmap(np.full((4, 4, 3), [red, 0, 0], np.float32))
+        paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": image, "raw": True}}
+        mesh = {"type": "obj", "filename": str(file), "bsdf": paint}
+        return load_scene({**small.furnace(), "mesh": mesh}).hash
+
+    first = digest(0.2)
+    assert digest(0.2) == first
+    assert digest(0.3) != first
+    file.write_text("v 0 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert digest(0.2) != first
+
+
+def test_threads_load_their_own_scenes(tmp_path):
+    """Each looks for a mesh of the same name in its own folder."""
+    shape = '<shape type="obj"><string name="filename" value="m.obj"/></shape></scene>'
+    for count in (1, 2):
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        text = MINIMAL.format(sensor=SENSOR, emitter=EMITTER).replace("</scene>", shape)
+        (folder / "scene.xml").write_text(text)
+        (folder / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n" + count * "f 1 2 3\n")
+    with ThreadPoolExecutor(4) as pool:
+        loaded = pool.map(lambda count: load_scene(tmp_path / str(count)).triangles, [1, 2] * 8)
+    assert list(loaded) == [1, 2] * 8
+
+
+LEFT_OUT = {
+    "another camera": ({"plan": {"type": "orthographic"}}, "2 cameras; sensor, the first perspective one"),
+    "a thin lens": (
+        {"sensor": {**small.sensor(), "type": "thinlens", "aperture_radius": 0.1}},
+        "depth of field is left out",
+    ),
+    "hidden lights": ({"path": {"type": "path", "hide_emitters": True}}, "hide_emitters is ignored"),
+    "smoke": (
+        {"smoke": {"type": "sphere", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}},
+        "participating media are left out",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_what_mitsuba_would_show_otherwise_is_said(name, caplog):
+    more, said = LEFT_OUT[name]
+    scene_module._say.cache_clear()
+    with caplog.at_level("INFO", logger="hybrid"):
+        for _ in range(2):
+            load_scene({**small.furnace(), **more})
+    assert [said in record.getMessage() for record in caplog.records] == [True]
+
+
+def test_hidden_lights_of_a_file_are_said(tmp_path, caplog):
+    flag = '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator></scene>'
+    file = tmp_path / "hidden.xml"
+    file.write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER).replace("</scene>", flag))
+    with caplog.at_level("INFO", logger="hybrid"):
+        load_scene(file)
+    assert "hide_emitters is ignored" in caplog.text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.loading import camera_of_sensor
+from pathtrace.scene.loading import camera_of_sensor, perspective_sensor
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -50,6 +50,29 @@ def test_a_projected_point_is_where_the_sensor_has_it():
     np.testing.assert_allclose(np.array(sample.uv).ravel(), expected[0], atol=1e-3)
 
 
+def test_a_crop_window_is_a_part_of_the_frame():
+    """What Mitsuba's sensor shows in a corner of its film."""
+    description = small.sensor(60, 40)
+    description["film"] |= {"crop_offset_x": 7, "crop_offset_y": 5, "crop_width": 20, "crop_height": 30}
+    sensor = mi.load_dict(description)
+    camera = camera_of_sensor(sensor, "mine")
+    assert (camera.width, camera.height) == (20, 30)
+    ray, _ = sensor.sample_ray(0, 0, mi.Point2f(0.25, 0.8), mi.Point2f(0.5))
+    pixel, _ = camera.project(np.array(ray.o + 2 * ray.d).T)
+    np.testing.assert_allclose(pixel[0], [0.25 * 20, 0.8 * 30], atol=1e-3)
+
+
+def test_a_thin_lens_counts_as_a_pinhole():
+    description = small.sensor(60, 40)
+    lens = {**description, "type": "thinlens", "aperture_radius": 0.1, "focus_distance": 2.0}
+    assert camera_of_sensor(mi.load_dict(lens), "mine") == camera_of_sensor(mi.load_dict(description), "mine")
+
+
+def test_the_first_perspective_sensor_is_used():
+    scene = {"type": "scene", "plan": {"type": "orthographic"}, "a": small.sensor(), "b": small.sensor(9, 9)}
+    assert perspective_sensor(mi.load_dict(scene), "mine").film().size()[0] == 32
+
+
 def test_other_projections_are_refused():
     with pytest.raises(UserError, match=r"^mine: the camera is not a perspective one"):
-        camera_of_sensor(mi.load_dict({"type": "orthographic"}), "mine")
+        perspective_sensor(mi.load_dict({"type": "scene", "a": {"type": "orthographic"}}), "mine")

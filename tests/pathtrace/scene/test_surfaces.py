@@ -136,3 +136,23 @@ def test_directions_are_even_over_the_sphere():
     # Each has its own place: an even spacing would be about 0.22.
     gaps = np.linalg.norm(directions[:, None] - directions, axis=-1) + 2 * np.eye(256)
     assert gaps.min() > 0.12
+
+
+def test_of_instances_and_curves_mitsuba_says_what_is_hit(tmp_path):
+    """A ball of radius 1 that is repeated on the right, and a straight curve on the left."""
+    (tmp_path / "curve.txt").write_text("-3 -1 4 0.5\n-3 0 4 0.5\n-3 1 4 0.5\n-3 2 4 0.5\n")
+    right = mi.ScalarTransform4f().translate([3, 0, 4])
+    scene = {
+        **{key: value for key, value in facing_wall(4.0).items() if key != "wall"},
+        "group": {"type": "shapegroup", "ball": {"type": "sphere"}},
+        "copy": {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": right},
+        "curve": {"type": "bsplinecurve", "filename": str(tmp_path / "curve.txt")},
+    }
+    surfaces = Surfaces(load_scene(scene))
+    origins = np.array([[3.0, 0, 0], [-3.0, 0.5, 0], [0.0, 0, 0]])
+    distance, normal = surfaces.hits(origins, np.tile([0.0, 0, 1], (3, 1)))
+    np.testing.assert_allclose(distance, [3, 3.5, np.inf], atol=1e-3)
+    np.testing.assert_allclose(normal, [[0, 0, -1], [0, 0, -1], [0, 0, 0]], atol=1e-3)
+    np.testing.assert_array_equal(surfaces.distance(origins, np.tile([0.0, 0, 1], (3, 1))), distance)
+    assert surfaces.bounds[0][0] < -3
+    assert surfaces.bounds[1] == pytest.approx([4, 2, 5], abs=0.6)
