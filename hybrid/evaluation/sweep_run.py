@@ -203,20 +203,14 @@ def _row(
         "ratio_interval": ratio_interval(same, total),
         "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
         "repeats": effort.repeats,
-        **_ranges(setting, total, same),
     }
+    if len(setting.seen) > 1:
+        times, of_views = (medians_by_view(found, len(setting.seen)) for found in (total, same))
+        ratios = [over / under for over, under in zip(of_views, times, strict=True)]
+        row |= {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
     if setting.over_one_spp:
         row["ratio_1spp"] = ratio_of_medians(of_full[1, setting.is_denoised], total)
     return {**row, "paper": setting.paper} if setting.paper else row
-
-
-def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str, Any]:
-    """Least and greatest medians of times, and their ratios, over the views; empty for a single view."""
-    if len(setting.seen) < 2:
-        return {}
-    times, of_full = (medians_by_view(found, len(setting.seen)) for found in (total, full))
-    ratios = [over / under for over, under in zip(of_full, times, strict=True)]
-    return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
 
 
 def regions_of(setting: Setting) -> dict[str, ImageRegion]:
