@@ -151,7 +151,13 @@ def _group(
     """Rows of the same views, which take turns."""
     camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
     ours = [HybridMethod(renderer, setting.frame) for setting in same]
-    full = _full_traces(renderer, same)
+    # By samples per pixel and whether they are denoised.
+    wanted = [(setting, setting.frame.spp) for setting in same]
+    wanted += [(setting, 1) for setting in same if setting.over_one_spp]
+    full = {
+        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
+        for one, spp in wanted
+    }
     methods: list[Method] = [*ours, *full.values()]
 
     def passes(place: int, gaze: Gaze, seed: int) -> dict[str, float]:
@@ -176,16 +182,6 @@ def _group(
             row["quality"], row["quality_range"] = quality_of(setting, method, truths)
         rows.append(row)
     return rows
-
-
-def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int, bool], FullTrace]:
-    """The full path-traced frames to compare with, by samples per pixel and whether they are denoised."""
-    wanted = [(setting, setting.frame.spp) for setting in settings]
-    wanted += [(setting, 1) for setting in settings if setting.over_one_spp]
-    return {
-        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
-        for one, spp in wanted
-    }
 
 
 def _row(
