@@ -42,14 +42,13 @@ def traced_image(
     spp: float,
     seed: int,
     denoised: bool,
-    clock: PassClock | None = None,
+    clock: PassClock,
 ) -> Image:
     """(N / columns, columns, 3) radiance at N positions on the camera's film, given row by row.
 
     There are `spp` samples per position, at least 1; if fractional, the mean over all positions. If denoised,
     OIDN is guided by albedo and normal. The clock records the passes trace and denoise.
     """
-    clock = clock or PassClock()
     counts = fractional_counts(spp, positions.count, seed)
     if denoised and isinstance(counts, int):
         traced = trace_image(tracer, camera, positions, columns, counts, seed)
