@@ -65,8 +65,10 @@ def wanted_of(
     if forest is not None and had:
         renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
         for number, samples in enumerate(had):
-            if samples < aimed[number] and not _is_worthwhile(frames, number, renderer, share):
-                aimed[number] = samples
+            if samples < aimed[number]:
+                # Its own error must be a noticeable part of its difference from the forest.
+                noise, difference = _noise(frames, number), _difference(frames, number, renderer)
+                aimed[number] = aimed[number] if share * noise > _WORTHWHILE * difference else samples
     return [
         Wanted(camera, max(spp, *had[number : number + 1], 2), view_time(frames.scene, number))
         for number, ((camera, _), spp) in enumerate(zip(views, aimed, strict=True))
@@ -100,11 +102,6 @@ def _noise(frames: GrowingFrames, number: int) -> float:
     """Squared error of what was traced of a view, in sRGB values."""
     one, other = (srgb_from_radiance(half.radiance) for half in frames.halves(number))
     return float(np.mean((one - other) ** 2) / 4)
-
-
-def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer, share: float) -> bool:
-    """Whether a frame's own error is a noticeable part of its difference from the forest."""
-    return share * _noise(frames, number) > _WORTHWHILE * _difference(frames, number, renderer)
 
 
 def _difference(frames: GrowingFrames, number: int, renderer: ForestRenderer) -> float:
