@@ -197,7 +197,11 @@ class _Methods:
         depth = renderer.depth(settings.camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
         self._right_eye = settings.camera.moved_right(_BETWEEN_EYES * seen)
-        self._traced = self._as_slow()
+        # Path-traced frames that take as long as the hybrid's; None if none do.
+        family = partial(enlarged, renderer.tracer_of(Integrator.CACHED), 1, denoised=True)
+        ours, views = HybridMethod(renderer, settings), [View(settings.camera)]
+        rays = at_equal_time(family, ours, views, settings.gaze, _RAYS)
+        self._traced: Method | None = None if rays is None else family(rays)
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
         """The clip by each method in turn."""
@@ -247,15 +251,6 @@ class _Methods:
     def _traced_frame(self, traced: Method, settings: FrameSettings, seed: int) -> Image:
         assert settings.camera is not None
         return traced.render(View(settings.camera, settings.time), settings.gaze, seed).image
-
-    def _as_slow(self) -> Method | None:
-        """Path-traced frames that take as long as the hybrid's; None if none do."""
-        tracer = self._renderer.tracer_of(Integrator.CACHED)
-        family = partial(enlarged, tracer, 1, denoised=True)
-        ours = HybridMethod(self._renderer, self._settings)
-        assert self._settings.camera is not None
-        rays = at_equal_time(family, ours, [View(self._settings.camera)], self._settings.gaze, _RAYS)
-        return None if rays is None else family(rays)
 
 
 def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
