@@ -283,7 +283,11 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     moves, hidden = moving_pixels[-1], np.any(moving_pixels[-1 - _UNCOVERED : -1], axis=0)
     before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
     changed = np.abs(now - before) > _SHADOW * (now + _DARK)
-    still, mirrors = ~moves & ~hidden, _mirrors(tracer, camera)
+    # Where something specular is seen, what changes is no shadow.
+    positions = frame_positions(camera)
+    gloss = tracer.auxiliary(camera, positions, 1, REFERENCE_SEED).gloss.numpy()
+    mirrors = tracer.hits(camera, positions).reflected | (gloss == SPECULAR)
+    still, mirrors = ~moves & ~hidden, mirrors.reshape(camera.height, camera.width)
     shadow = changed & still & ~mirrors
     beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~mirrors & ~shadow
     masks = {
@@ -294,14 +298,6 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
         "reflected": changed & still & mirrors,
     }
     return _Clip(times, _gaze_on(moves), truths, masks)
-
-
-def _mirrors(tracer: Tracer, camera: Camera) -> NDArray[np.bool_]:
-    """(H, W) where something specular is seen: what changes there is no shadow."""
-    positions = frame_positions(camera)
-    gloss = tracer.auxiliary(camera, positions, 1, REFERENCE_SEED).gloss.numpy()
-    found = tracer.hits(camera, positions).reflected | (gloss == SPECULAR)
-    return np.asarray(found.reshape(camera.height, camera.width))
 
 
 def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> NDArray[np.bool_]:
