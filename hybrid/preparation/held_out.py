@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from compose.camera.camera import Camera
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.image_metrics import quality
 from hybrid.preparation.training_views import Frames, posed_view, training_view
 from pathtrace.dataset.captured_frames import is_intact, read_frame, render_frame, write_frame
@@ -71,12 +71,7 @@ class Judges:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        tracer: Tracer,
-        cameras: list[Camera],
-        times: list[float],
-        progress: Callable[[int, int], None],
+        self, folder: Path, tracer: Tracer, cameras: list[Camera], times: list[float], progress: Steps
     ):
         self._cameras, self._times = cameras, times
         self._files = [folder / f"{n:04d}.exr" for n in range(len(cameras))]

@@ -6,7 +6,7 @@ It is stored in the cache folder, is a part of frame sets and forests, and a use
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from compose.base.errors import UserError
 from compose.base.files import json_text, read_json, write_whole
 from compose.eye.display import DISPLAYS, Display
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.progress import Bars, no_bars, no_progress
+from hybrid.base.progress import Bars, Steps, no_bars, no_progress
 from hybrid.preparation.decisions import (
     DEGREE,
     DENOISED,
@@ -77,7 +77,7 @@ def plan_of(
     size: tuple[int, int],
     region: str = NEAR,
     seed: int = 0,
-    progress: Callable[[int, int], None] = no_progress,
+    progress: Steps = no_progress,
 ) -> ScenePlan:
     """Looks at a scene and decides what it requires; afterwards, one that moves shows its first time.
 
