@@ -57,12 +57,7 @@ class Evaluation:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        forest: Forest,
-        settings: EvaluationSettings,
-        folder: Path,
-        flat: Forest | None = None,
+        self, scene: Scene, forest: Forest, settings: EvaluationSettings, folder: Path, flat: Forest | None
     ):
         # All methods trace in the same way, raw foveas as well; only references are always unbiased.
         integrator = settings.frame.used_integrator
