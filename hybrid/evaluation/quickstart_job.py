@@ -57,7 +57,7 @@ def quickstart(
     views = unseen_views(scene, _VIEWS, SIZE, SIZE)
     renderer = Renderer(scene, forest)
     with bars("references") as bar:
-        judged = judged_views(renderer, views, settings, _REFERENCE_SPP, seed, bar)
+        judged = judged_views(renderer, views, settings, seed, bar)
     with bars("frames (rounds)") as bar:
         times = compare(renderer, views, settings, _REPEATS, _WARM_UP, bar)
     seconds["render"] = time.perf_counter() - before
@@ -91,12 +91,7 @@ JudgedView = tuple[Frame, Image]
 
 
 def judged_views(
-    renderer: Renderer,
-    views: list[View],
-    settings: FrameSettings,
-    reference_spp: int,
-    seed: int,
-    progress: Steps,
+    renderer: Renderer, views: list[View], settings: FrameSettings, seed: int, progress: Steps
 ) -> list[JudgedView]:
     """The frames of some views, and what they are compared with; same seed, same images on one machine."""
     found = []
@@ -105,7 +100,7 @@ def judged_views(
         own = replace(settings, camera=view.camera, time=view.time, aovs=EXTRA_AOVS)
         renderer.scene.show(view.time)
         truth_seed = seed + REFERENCE_SEED + number
-        truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
+        truth = render_frame(renderer.tracer, view.camera, _REFERENCE_SPP, truth_seed).radiance
         found.append((renderer.frame(own, seed + number), truth))
     progress(len(views), len(views))
     return found
