@@ -76,7 +76,11 @@ class DiscImages:
         Surroundings are three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
         that are not finite, or out of proportion to all samples, count as black.
         """
-        surroundings = _usable(surroundings, samples.radiance)
+        brightest: Any = 1.0
+        for channel in samples.radiance:
+            brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
+        most = MOST * dr.max(brightest)
+        surroundings = [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]
         # No albedo is traced outside the disc; the image is the best substitute.
         like_albedo = [dr.clip(channel, 0, 1) for channel in surroundings]
         channels = disc.images(
@@ -143,12 +147,3 @@ def _torch(tensor: Any) -> torch.Tensor:
         return torch.from_numpy(tensor.numpy())
     shared: torch.Tensor = tensor.torch()
     return shared
-
-
-def _usable(surroundings: list[Any], samples: list[Any]) -> list[Any]:
-    """Surroundings, three Floats (h * w,), black where they cannot be radiance beside samples (D,)."""
-    brightest: Any = 1.0
-    for channel in samples:
-        brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
-    most = MOST * dr.max(brightest)
-    return [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]
