@@ -63,7 +63,10 @@ def wanted_of(
     had = frames.samples
     aimed = [stage.spp_at(scale) for _, scale in views]
     if forest is not None and had:
-        renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
+        renderer, asked = ForestRenderer(device_arrays(), forest), _asked(frames)
+        # Squared error of denoised frames over that of what was traced, on average.
+        errors = [_error(frames, number).mse for number in asked]
+        share = float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
         for number, samples in enumerate(had):
             if samples < aimed[number]:
                 # Its own error must be a noticeable part of its difference from the forest.
@@ -89,13 +92,6 @@ def _asked(frames: GrowingFrames) -> list[int]:
     """Some views, evenly spaced over all."""
     count = len(frames.samples)
     return sorted({round(share) for share in np.linspace(0, count - 1, _ASKED)})
-
-
-def _share_left(frames: GrowingFrames) -> float:
-    """Squared error of denoised frames over that of what was traced, on average."""
-    asked = _asked(frames)
-    errors = [_error(frames, number).mse for number in asked]
-    return float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
 
 
 def _noise(frames: GrowingFrames, number: int) -> float:
