@@ -278,7 +278,11 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     times = [max(0.0, last - step * before) for before in range(_FRAMES - 1, -1, -1)]
     moving_pixels, truths = [], []
     for at in times:
-        moving_pixels.append(_moves(tracer, moving, camera, at))
+        moving.set_time(at)
+        tracked = {shape.id() for shape in moving.shapes}
+        numbers = [n for n, shape in enumerate(tracer.scene.mitsuba.shapes()) if shape.id() in tracked]
+        shapes = tracer.hits(camera, frame_positions(camera)).shape
+        moving_pixels.append(np.isin(shapes, numbers).reshape(camera.height, camera.width))
         truths.append(reference(tracer, camera, spp, REFERENCE_SEED).radiance)
     moves, hidden = moving_pixels[-1], np.any(moving_pixels[-1 - _UNCOVERED : -1], axis=0)
     before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
@@ -298,15 +302,6 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
         "reflected": changed & still & mirrors,
     }
     return _Clip(times, _gaze_on(moves), truths, masks)
-
-
-def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> NDArray[np.bool_]:
-    """(H, W) where something that moves is seen at a time, which the scene shows from now on."""
-    moving.set_time(at)
-    tracked = {shape.id() for shape in moving.shapes}
-    numbers = [n for n, shape in enumerate(tracer.scene.mitsuba.shapes()) if shape.id() in tracked]
-    found = tracer.hits(camera, frame_positions(camera)).shape
-    return np.isin(found, numbers).reshape(camera.height, camera.width)
 
 
 def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
