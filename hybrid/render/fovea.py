@@ -40,12 +40,6 @@ class FoveaImage:
     weights: list[Any] | None = None
     excluded: int = 0
 
-    @staticmethod
-    def none(disc: Disc) -> FoveaImage:
-        """That of a disc of which nothing was traced."""
-        samples = Samples.none(disc.arrays, disc.pixels)
-        return FoveaImage(disc, samples.radiance, samples)
-
 
 class Fovea:
     """Traces and reconstructs the foveas of one scene.
