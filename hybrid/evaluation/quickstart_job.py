@@ -86,14 +86,10 @@ def quickstart(
     return result
 
 
-# A hybrid frame of a view, with all AOVs, and (H, W, 3) radiance of denoised path tracing.
-JudgedView = tuple[Frame, Image]
-
-
 def judged_views(
     renderer: Renderer, views: list[View], settings: FrameSettings, seed: int, progress: Steps
-) -> list[JudgedView]:
-    """The frames of some views, and what they are compared with; same seed, same images on one machine."""
+) -> list[tuple[Frame, Image]]:
+    """Frames of views with all AOVs, and denoised path tracing of each; same seed, same on one machine."""
     found = []
     for number, view in enumerate(views):
         progress(number, len(views))
@@ -106,7 +102,7 @@ def judged_views(
     return found
 
 
-def judged_quality(views: list[JudgedView]) -> dict[str, Any]:
+def judged_quality(views: list[tuple[Frame, Image]]) -> dict[str, Any]:
     """Entries of result.json: means over the views, and the least and the greatest value of a view.
 
     `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no view
