@@ -76,7 +76,17 @@ def sweep(
     journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
     rows = swept(scene, forest, settings, chosen.with_quality, effort, journal, progress)
     if over == "trade":
-        _store(scene, forest, settings, rows)
+        # Target times and target qualities choose from these settings.
+        metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
+        name = f"whole {metric}"
+        measured = [
+            MeasuredSettings(
+                setting.frame, row["ms"]["p50"], row["quality"][name], tuple(row["quality_range"][name])
+            )
+            for setting, row in zip(settings, rows, strict=True)
+        ]
+        camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
+        MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
     content = {
         "scene": scene.name,
         "forest": forest.digest(),
@@ -91,20 +101,6 @@ def sweep(
     write(content)
     journal.remove()
     return content
-
-
-def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dict[str, Any]]) -> None:
-    """Stores the settings that target times and target qualities choose from."""
-    metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
-    name = f"whole {metric}"
-    measured = [
-        MeasuredSettings(
-            setting.frame, row["ms"]["p50"], row["quality"][name], tuple(row["quality_range"][name])
-        )
-        for setting, row in zip(settings, rows, strict=True)
-    ]
-    camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
-    MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
 
 
 def swept(
