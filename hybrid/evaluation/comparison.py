@@ -104,7 +104,6 @@ def compare(
     timed = [partial(_timed, method) for method in methods.values()]
     found = interleaved_passes(timed, repeats, warm_up, progress, reach)
     times = {name: [frame["total"] for frame in frames] for name, frames in zip(methods, found, strict=True)}
-    row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
     by_view = {name: medians_by_view(values, len(views)) for name, values in times.items()}
     ratios = [full / ours for full, ours in zip(by_view["path_traced"], by_view["hybrid"], strict=True)]
     return {
@@ -113,7 +112,7 @@ def compare(
         "spp": settings.spp,
         "fov_a": settings.fov_a,
         "fov_b": settings.fov_b,
-        **row,
+        **{f"{name}_ms": percentiles(values) for name, values in times.items()},
         **{f"{name}_ms_range": (min(medians), max(medians)) for name, medians in by_view.items()},
         "ratio": ratio_of_medians(times["path_traced"], times["hybrid"]),
         "ratio_range": (min(ratios), max(ratios)),
