@@ -63,7 +63,11 @@ def light_over_time(
     seeds, instance = _seeds(views, count, motion, rng)
     if not len(instance):
         return None
-    at = partial(_points, seeds, instance, motion, _lifts(seeds, instance))
+    lifts = torch.zeros(len(instance))
+    for number in instance[instance >= 0].unique():
+        own = seeds.means[:, instance == number]
+        lifts[instance == number] = _LIFT * torch.linalg.vector_norm(own.amax(dim=1) - own.amin(dim=1))
+    at = partial(_points, seeds, instance, motion, lifts)
     moving = np.flatnonzero(instance.numpy() >= 0)
     with bars("light over time") as bar:
         irradiance = irradiance_over_time(scene, cache, at, moving, times, seed, bar)
@@ -96,19 +100,10 @@ def _normals(seeds: Gaussians) -> torch.Tensor:
     return turned(seeds.rotations, torch.tensor([[0.0], [0.0], [1.0]]).expand(3, len(seeds)))
 
 
-def _lifts(seeds: Gaussians, instance: torch.Tensor) -> torch.Tensor:
-    """(N,) how far points are lifted off their surface."""
-    lifts = torch.zeros(len(instance))
-    for number in instance[instance >= 0].unique():
-        own = seeds.means[:, instance == number]
-        lifts[instance == number] = _LIFT * torch.linalg.vector_norm(own.amax(dim=1) - own.amin(dim=1))
-    return lifts
-
-
 def _points(
     seeds: Gaussians, instance: torch.Tensor, motion: NodeMotion | None, lifts: torch.Tensor, time: float
 ) -> Points:
-    """Where the seeds are at a time."""
+    """Where the seeds are at a time, lifted off their surface by `lifts` (N,)."""
     shown = seeds if motion is None else motion.shown(seeds, instance, time)
     normals = _normals(shown)
     return Points((shown.means + lifts * normals).T.numpy(), normals.T.numpy())
