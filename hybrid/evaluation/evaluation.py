@@ -153,8 +153,7 @@ class Evaluation:
         truths = []
         for number, view in enumerate(small):
             self.scene.show(view.time)
-            truth = reference(self.tracer, view.camera, settings.reference_spp, seed + number)
-            truths.append(truth.radiance)
+            truths.append(reference(self.tracer, view.camera, settings.reference_spp, seed + number).radiance)
         return tuned(self.baseline_tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
 
 
