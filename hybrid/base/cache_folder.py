@@ -61,15 +61,11 @@ def newest_forest_of(name: str, digest: str) -> Path | None:
     for path in (scene_folder(name, digest) / "forests").glob("[!.]*.safetensors"):
         with contextlib.suppress(FileNotFoundError):
             found[path] = path.stat().st_mtime
-    newest_first = sorted(found, key=found.__getitem__, reverse=True)
-    return next((path for path in newest_first if _is_of(path, name, digest)), None)
-
-
-def _is_of(path: Path, name: str, digest: str) -> bool:
-    try:
-        return scene_of_forest(path) == (name, digest)
-    except UserError:
-        return False
+    for path in sorted(found, key=found.__getitem__, reverse=True):
+        with contextlib.suppress(UserError):
+            if scene_of_forest(path) == (name, digest):
+                return path
+    return None
 
 
 def keep_receipt(frames: FrameSet) -> None:

@@ -151,9 +151,7 @@ class _Allocator:
         return allocate(*args)
 
 
-@cache
-def _allocator() -> _Allocator:
-    return _Allocator()
+_allocator = cache(_Allocator)
 
 
 @dataclass(frozen=True)

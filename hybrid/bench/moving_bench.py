@@ -197,7 +197,11 @@ class _Methods:
         depth = renderer.depth(settings.camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
         self._right_eye = settings.camera.moved_right(_BETWEEN_EYES * seen)
-        self._traced = self._as_slow()
+        # Path-traced frames that take as long as the hybrid's; None if none do.
+        family = partial(enlarged, renderer.tracer_of(Integrator.CACHED), 1, denoised=True)
+        ours, views = HybridMethod(renderer, settings), [View(settings.camera)]
+        rays = at_equal_time(family, ours, views, settings.gaze, _RAYS)
+        self._traced: Method | None = None if rays is None else family(rays)
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
         """The clip by each method in turn."""
@@ -248,15 +252,6 @@ class _Methods:
         assert settings.camera is not None
         return traced.render(View(settings.camera, settings.time), settings.gaze, seed).image
 
-    def _as_slow(self) -> Method | None:
-        """Path-traced frames that take as long as the hybrid's; None if none do."""
-        tracer = self._renderer.tracer_of(Integrator.CACHED)
-        family = partial(enlarged, tracer, 1, denoised=True)
-        ours = HybridMethod(self._renderer, self._settings)
-        assert self._settings.camera is not None
-        rays = at_equal_time(family, ours, [View(self._settings.camera)], self._settings.gaze, _RAYS)
-        return None if rays is None else family(rays)
-
 
 def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
     """The finest layer of a forest over the whole frame; of one with layers, those by acuity as well."""
@@ -283,12 +278,20 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     times = [max(0.0, last - step * before) for before in range(_FRAMES - 1, -1, -1)]
     moving_pixels, truths = [], []
     for at in times:
-        moving_pixels.append(_moves(tracer, moving, camera, at))
+        moving.set_time(at)
+        tracked = {shape.id() for shape in moving.shapes}
+        numbers = [n for n, shape in enumerate(tracer.scene.mitsuba.shapes()) if shape.id() in tracked]
+        shapes = tracer.hits(camera, frame_positions(camera)).shape
+        moving_pixels.append(np.isin(shapes, numbers).reshape(camera.height, camera.width))
         truths.append(reference(tracer, camera, spp, REFERENCE_SEED).radiance)
     moves, hidden = moving_pixels[-1], np.any(moving_pixels[-1 - _UNCOVERED : -1], axis=0)
     before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
     changed = np.abs(now - before) > _SHADOW * (now + _DARK)
-    still, mirrors = ~moves & ~hidden, _mirrors(tracer, camera)
+    # Where something specular is seen, what changes is no shadow.
+    positions = frame_positions(camera)
+    gloss = tracer.auxiliary(camera, positions, 1, REFERENCE_SEED).gloss.numpy()
+    mirrors = tracer.hits(camera, positions).reflected | (gloss == SPECULAR)
+    still, mirrors = ~moves & ~hidden, mirrors.reshape(camera.height, camera.width)
     shadow = changed & still & ~mirrors
     beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~mirrors & ~shadow
     masks = {
@@ -299,23 +302,6 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
         "reflected": changed & still & mirrors,
     }
     return _Clip(times, _gaze_on(moves), truths, masks)
-
-
-def _mirrors(tracer: Tracer, camera: Camera) -> NDArray[np.bool_]:
-    """(H, W) where something specular is seen: what changes there is no shadow."""
-    positions = frame_positions(camera)
-    gloss = tracer.auxiliary(camera, positions, 1, REFERENCE_SEED).gloss.numpy()
-    found = tracer.hits(camera, positions).reflected | (gloss == SPECULAR)
-    return np.asarray(found.reshape(camera.height, camera.width))
-
-
-def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> NDArray[np.bool_]:
-    """(H, W) where something that moves is seen at a time, which the scene shows from now on."""
-    moving.set_time(at)
-    tracked = {shape.id() for shape in moving.shapes}
-    numbers = [n for n, shape in enumerate(tracer.scene.mitsuba.shapes()) if shape.id() in tracked]
-    found = tracer.hits(camera, frame_positions(camera)).shape
-    return np.isin(found, numbers).reshape(camera.height, camera.width)
 
 
 def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:

@@ -63,33 +63,20 @@ def bench_periphery(
             times: Times = {name: [] for name in ACUITY_MODELS}
             for turn in turns:
                 view = camera.moved_right(turn * _STEP) if moving else camera
-                drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None, moving)
+                drawn: dict[str, SplatImage] = {}
+                for periphery, one in zip(peripheries, at_gaze, strict=True):
+                    region = one.foveation.region(view.width, view.height)
+                    start, name = time.perf_counter(), one.acuity_model
+                    drawn[name] = periphery.draw(view, periphery.detail(view, one, moving), region)
+                    dr.sync_thread()
+                    if turn >= 0:
+                        times[name].append((time.perf_counter() - start) * 1000)
                 done = (2 * number + len(kinds)) * len(turns) + turn + warm_up + 1
                 progress(done, 2 * len(GAZES) * len(turns))
             kinds.append(times)
         common = {"fov_b": settings.fov_b, "repeats": repeats, "layers": list(forest.counts)}
         rows += [{**row, **common} for row in _rows(at_gaze, camera, drawn, *kinds)]
     return rows
-
-
-def _passes(
-    peripheries: Sequence[Periphery],
-    models: Sequence[FrameSettings],
-    camera: Camera,
-    times: Times | None,
-    moving: bool,
-) -> dict[str, SplatImage]:
-    """The periphery once with each acuity model, by its name; adds their times."""
-    drawn = {}
-    for periphery, settings in zip(peripheries, models, strict=True):
-        region = settings.foveation.region(camera.width, camera.height)
-        start = time.perf_counter()
-        name = settings.acuity_model
-        drawn[name] = periphery.draw(camera, periphery.detail(camera, settings, moving), region)
-        dr.sync_thread()
-        if times is not None:
-            times[name].append((time.perf_counter() - start) * 1000)
-    return drawn
 
 
 def _rows(

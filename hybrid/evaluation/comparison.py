@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from hybrid.evaluation.baselines import FullTrace
 from hybrid.measure.frame_times import (
     REACH,
     gaze_path,
-    interleaved,
+    interleaved_passes,
     jittered_view,
     medians_by_view,
     percentiles,
@@ -50,6 +52,13 @@ def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float
     width, height = camera.width, camera.height
     along = (Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach))
     return float(np.mean([region.count for region in along]) / (width * height))
+
+
+def _timed(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
+    """Milliseconds until a method returns, which it does when its frame is complete."""
+    start = time.perf_counter()
+    method(gaze, seed)
+    return {"total": (time.perf_counter() - start) * 1000}
 
 
 def compare(
@@ -92,8 +101,9 @@ def compare(
         "path_traced": lambda gaze, seed: full.render(next_view(seed, 1), gaze, seed),
         "disc": lambda gaze, seed: renderer.disc_alone(at(gaze, seed, 2), seed),
     }
-    times = interleaved(methods, repeats, warm_up, progress, reach)
-    row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
+    timed = [partial(_timed, method) for method in methods.values()]
+    found = interleaved_passes(timed, repeats, warm_up, progress, reach)
+    times = {name: [frame["total"] for frame in frames] for name, frames in zip(methods, found, strict=True)}
     by_view = {name: medians_by_view(values, len(views)) for name, values in times.items()}
     ratios = [full / ours for full, ours in zip(by_view["path_traced"], by_view["hybrid"], strict=True)]
     return {
@@ -102,7 +112,7 @@ def compare(
         "spp": settings.spp,
         "fov_a": settings.fov_a,
         "fov_b": settings.fov_b,
-        **row,
+        **{f"{name}_ms": percentiles(values) for name, values in times.items()},
         **{f"{name}_ms_range": (min(medians), max(medians)) for name, medians in by_view.items()},
         "ratio": ratio_of_medians(times["path_traced"], times["hybrid"]),
         "ratio_range": (min(ratios), max(ratios)),

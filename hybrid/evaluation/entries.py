@@ -248,8 +248,9 @@ def time_rows(
             # Of a brief entry as well, frame n is of view n.
             view = views[(len(timing.totals) if turn >= 0 else place) % len(views)]
             own = jittered_view(view, (done + turn) * len(entries) + place)
-            at = path[_step(timing, number, repeats)]
-            milliseconds = timing.entry.method.render(own, at, number).milliseconds
+            # The few frames of a brief entry cover the whole path as well.
+            step = len(timing.totals) * repeats // _LEAST_REPEATS if timing.entry.briefly else number
+            milliseconds = timing.entry.method.render(own, path[step % repeats], number).milliseconds
             if turn >= 0:
                 for name, value in milliseconds.items():
                     timing.passes.setdefault(name, []).append(value)
@@ -259,10 +260,3 @@ def time_rows(
     journal.write()
     ours = next((timing for timing in timings if timing.entry.key == OURS_KEY), None)
     return [timing.row(views, ours) for timing in timings]
-
-
-def _step(timing: Timing, number: int, repeats: int) -> int:
-    """Step of the gaze path for an entry's next frame; the few of a brief one cover the whole path."""
-    if timing.entry.briefly:
-        return len(timing.totals) * repeats // _LEAST_REPEATS % repeats
-    return number % repeats

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
@@ -114,19 +113,15 @@ def tuned(
     warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]
     baselines: list[Method] = [warped(tracer, tuning, rays) for tuning in warps]
     baselines += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
-    masks = [_foveal(foveation, truth) for truth in references]
+    foveas = [regions(foveation, truth)["foveal"].mask.astype(np.float32) for truth in references]
+    # All pixels count where SSIM has no value in the fovea.
+    weights = [fovea if has_valid(fovea) else None for fovea in foveas]
     whole, foveal = [], []
     for number, baseline in enumerate(baselines):
         images = [baseline.render(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
         maps = [ssim_map(image, truth) for image, truth in zip(images, references, strict=True)]
         whole.append(np.mean([valid_mean(one) for one in maps]))
-        foveal.append(np.mean([valid_mean(one, mask) for one, mask in zip(maps, masks, strict=True)]))
+        foveal.append(np.mean([valid_mean(one, weight) for one, weight in zip(maps, weights, strict=True)]))
         progress(number + 1, len(baselines))
     frame, fovea = (warps[int(np.argmax(scores[: len(warps)]))] for scores in (whole, foveal))
     return Tuning(frame, fovea, counts[int(np.argmax(whole[len(warps) :]))])
-
-
-def _foveal(foveation: Foveation, truth: Image) -> NDArray[np.float32] | None:
-    """(H, W) the fovea's pixels as weights of SSIM; None, for all pixels, if SSIM has no value there."""
-    mask = regions(foveation, truth)["foveal"].mask.astype(np.float32)
-    return mask if has_valid(mask) else None

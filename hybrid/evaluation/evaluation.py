@@ -34,7 +34,6 @@ from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, TUNING_REDUC
 from hybrid.evaluation.methods import SplatsAlone
 from hybrid.evaluation.result_keys import OURS
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
-from hybrid.measure.regions import regions
 from hybrid.render.forest_attachments import plan_of_forest
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.image_files import read_exr, write_exr
@@ -58,12 +57,7 @@ class Evaluation:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        forest: Forest,
-        settings: EvaluationSettings,
-        folder: Path,
-        flat: Forest | None = None,
+        self, scene: Scene, forest: Forest, settings: EvaluationSettings, folder: Path, flat: Forest | None
     ):
         # All methods trace in the same way, raw foveas as well; only references are always unbiased.
         integrator = settings.frame.used_integrator
@@ -110,9 +104,10 @@ class Evaluation:
             "display": asdict(settings.frame.display),
             "times": [view.time for view in measured],
             "references": [
-                row
-                for number, found in enumerate(references)
-                for row in reference_errors(settings, number, found)
+                # PSNR against the truth, in dB.
+                {"view": view.number, "region": name, "psnr": view.reference.psnr(part.mask)}
+                for view in evaluated
+                for name, part in view.regions.items()
             ],
             "methods": [
                 {
@@ -158,8 +153,7 @@ class Evaluation:
         truths = []
         for number, view in enumerate(small):
             self.scene.show(view.time)
-            truth = reference(self.tracer, view.camera, settings.reference_spp, seed + number)
-            truths.append(truth.radiance)
+            truths.append(reference(self.tracer, view.camera, settings.reference_spp, seed + number).radiance)
         return tuned(self.baseline_tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
 
 
@@ -213,11 +207,3 @@ def _reference(channels: dict[str, NDArray[np.float32]]) -> Reference:
         return np.stack([channels[prefix + channel] for channel in "RGB"], axis=-1)
 
     return Reference(image(""), (image("first."), image("second.")), channels["error.V"])
-
-
-def reference_errors(settings: EvaluationSettings, number: int, reference: Reference) -> list[dict[str, Any]]:
-    """Rows of view, region and PSNR of a reference against the truth, in dB."""
-    parts = regions(settings.frame.foveation, reference.radiance)
-    return [
-        {"view": number, "region": name, "psnr": reference.psnr(part.mask)} for name, part in parts.items()
-    ]

@@ -35,10 +35,16 @@ def write_report(folder: Path) -> None:
     """Writes index.html from evaluation.json, the images, and the sweeps in the same folder."""
     results = Results(_read(folder / "evaluation.json"))
     sweeps = [_read(file) for file in sorted(folder.glob("sweep-*.json"))]
+    metrics = results.foveal_metrics
+    over_time = [quality_over_time_plot(results, "foveal", metric) for metric in metrics]
+    over_time.append(quality_over_time_plot(results, "whole", WHOLE_METRIC))
     text = rendered(
         "evaluation.html",
         **_overview(results),
-        **_plots_and_tables(results),
+        over_time=_markup(over_time),
+        samples=_markup([samples_plot(results, metric) for metric in metrics]),
+        quality=[quality_table(results, region) for region in REGIONS],
+        time=time_table(results),
         **_viewer(results, folder),
         sweeps=[_sweep(sweep) for sweep in sweeps],
     )
@@ -99,19 +105,6 @@ def _overview(results: Results) -> dict[str, Any]:
         "size": f"{settings['width']} × {settings['height']}",
         "machine": f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}",
         "missing": missing(),
-    }
-
-
-def _plots_and_tables(results: Results) -> dict[str, Any]:
-    """Quality over time, foveal quality over samples, and the tables of quality and time."""
-    metrics = results.foveal_metrics
-    over_time = [quality_over_time_plot(results, "foveal", metric) for metric in metrics]
-    over_time.append(quality_over_time_plot(results, "whole", WHOLE_METRIC))
-    return {
-        "over_time": _markup(over_time),
-        "samples": _markup([samples_plot(results, metric) for metric in metrics]),
-        "quality": [quality_table(results, region) for region in REGIONS],
-        "time": time_table(results),
     }
 
 

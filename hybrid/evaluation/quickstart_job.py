@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,22 +57,22 @@ def quickstart(
     views = unseen_views(scene, _VIEWS, SIZE, SIZE)
     renderer = Renderer(scene, forest)
     with bars("references") as bar:
-        judged = judged_views(renderer, views, settings, _REFERENCE_SPP, seed, bar)
+        judged = judged_views(renderer, views, settings, seed, bar)
     with bars("frames (rounds)") as bar:
         times = compare(renderer, views, settings, _REPEATS, _WARM_UP, bar)
     seconds["render"] = time.perf_counter() - before
-    shown = judged[0]
-    shown.frame.save(folder / "hybrid.exr")
-    images = {"hybrid": shown.frame.composite, "reference": shown.reference, "splat": shown.splats}
+    shown, reference = judged[0]
+    shown.save(folder / "hybrid.exr")
+    images = {"hybrid": shown.composite, "reference": reference, "splat": shown.more["splat"]}
     for name, image in images.items():
         write_png(folder / f"{name}.png", image)
-    write_srgb(folder / "weights.png", weights_picture(shown.frame))
+    write_srgb(folder / "weights.png", weights_picture(shown))
     seconds["total"] = time.perf_counter() - start
     result = {
         "scene": scene.name,
-        "width": shown.frame.camera.width,
-        "height": shown.frame.camera.height,
-        **{name: getattr(shown.frame.settings, name) for name in ("spp", "fov_a", "fov_b")},
+        "width": shown.camera.width,
+        "height": shown.camera.height,
+        **{name: getattr(shown.settings, name) for name in ("spp", "fov_a", "fov_b")},
         "seconds": seconds,
         "splat": {name: held_out[-1][name] for name in ("psnr", "ssim")},
         "layers": held_out,
@@ -86,54 +86,37 @@ def quickstart(
     return result
 
 
-@dataclass(frozen=True)
-class JudgedView:
-    """A hybrid frame of a view, with all AOVs, and (H, W, 3) radiance of denoised path tracing."""
-
-    frame: Frame
-    reference: Image
-
-    @property
-    def splats(self) -> Image:
-        """(H, W, 3) radiance of the splats alone."""
-        return self.frame.more["splat"]
-
-
 def judged_views(
-    renderer: Renderer,
-    views: list[View],
-    settings: FrameSettings,
-    reference_spp: int,
-    seed: int,
-    progress: Steps,
-) -> list[JudgedView]:
-    """The frames of some views, and what they are compared with; same seed, same images on one machine."""
+    renderer: Renderer, views: list[View], settings: FrameSettings, seed: int, progress: Steps
+) -> list[tuple[Frame, Image]]:
+    """Frames of views with all AOVs, and denoised path tracing of each; same seed, same on one machine."""
     found = []
     for number, view in enumerate(views):
         progress(number, len(views))
         own = replace(settings, camera=view.camera, time=view.time, aovs=EXTRA_AOVS)
         renderer.scene.show(view.time)
         truth_seed = seed + REFERENCE_SEED + number
-        truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
-        found.append(JudgedView(renderer.frame(own, seed + number), truth))
+        truth = render_frame(renderer.tracer, view.camera, _REFERENCE_SPP, truth_seed).radiance
+        found.append((renderer.frame(own, seed + number), truth))
     progress(len(views), len(views))
     return found
 
 
-def judged_quality(views: list[JudgedView]) -> dict[str, Any]:
+def judged_quality(views: list[tuple[Frame, Image]]) -> dict[str, Any]:
     """Entries of result.json: means over the views, and the least and the greatest value of a view.
 
     `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no view
     has a window with enough texture; and of each of these its `..._range`.
     """
     found: dict[str, Any] = {"views": len(views)}
-    images = {"hybrid": [one.frame.composite for one in views], "splats_alone": [one.splats for one in views]}
+    splats, truths = [frame.more["splat"] for frame, _ in views], [truth for _, truth in views]
+    images = {"hybrid": [frame.composite for frame, _ in views], "splats_alone": splats}
     for name, shown in images.items():
-        rows = [quality(image, one.reference) for image, one in zip(shown, views, strict=True)]
+        rows = [quality(image, truth) for image, truth in zip(shown, truths, strict=True)]
         values = {metric: [row[metric] for row in rows] for metric in rows[0]}
         found[name] = {metric: float(np.mean(each)) for metric, each in values.items()}
         found[f"{name}_range"] = {metric: (min(each), max(each)) for metric, each in values.items()}
-    shifts = [registration_px(one.splats, one.reference) for one in views]
+    shifts = [registration_px(image, truth) for image, truth in zip(splats, truths, strict=True)]
     known = [shift for shift in shifts if shift is not None]
     if known:
         found |= {"registration_px": float(np.mean(known)), "registration_px_range": (min(known), max(known))}

@@ -140,7 +140,15 @@ def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> 
     """
     axes = new_axes()
     for name, line in _lines(over, rows).items():
-        _plot_line(axes, over, name or "this project", line)
+        positions, ratios = [_position(over, row) for row in line], [row["ratio"] for row in line]
+        (drawn,) = axes.plot(positions, ratios, "o-", ms=4, label=name or "this project")
+        known = [
+            (position, row["paper"]["ratio"])
+            for position, row in zip(positions, line, strict=True)
+            if "ratio" in row.get("paper", {})
+        ]
+        if known:
+            axes.plot(*zip(*known, strict=True), "o--", mfc="none", color=drawn.get_color(), label="FPC")
     colours = [line.get_color() for line in axes.lines]
     for crossing, colour in zip(crossings, colours, strict=False):
         axes.plot(crossing["paper"], 1, "o", mfc="none", color=colour)
@@ -160,19 +168,6 @@ def _lines(over: str, rows: list[Row]) -> dict[str, list[Row]]:
         before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
         lines.setdefault(", ".join(f"{name} {short(value)}" for name, value in before), []).append(row)
     return lines
-
-
-def _plot_line(axes: Axes, over: str, name: str, line: list[Row]) -> None:
-    """One line of ratios, and FPC's if there are any."""
-    positions = [_position(over, row) for row in line]
-    (drawn,) = axes.plot(positions, [row["ratio"] for row in line], "o-", ms=4, label=name)
-    known = [
-        (position, row["paper"]["ratio"])
-        for position, row in zip(positions, line, strict=True)
-        if "ratio" in row.get("paper", {})
-    ]
-    if known:
-        axes.plot(*zip(*known, strict=True), "o--", mfc="none", color=drawn.get_color(), label="FPC")
 
 
 def _quality_plot(rows: list[Row], metric: str) -> str:

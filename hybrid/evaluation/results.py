@@ -50,13 +50,9 @@ class Results:
         measured = {metric for _, _, metric in self._values}
         return [m for m in _FOVEAL if m in measured] or [m for m in _FALLBACK if m in measured]
 
-    def values(self, key: Key, region: str, metric: str) -> list[float]:
-        """Values of a method and budget, one per view, in the order of views."""
-        return [value for _, value in sorted(self._values.get((key, region, metric), {}).items())]
-
     def mean(self, key: Key, region: str, metric: str) -> float | None:
         """Mean over the views; None if it was not measured."""
-        values = self.values(key, region, metric)
+        values = [value for _, value in sorted(self._values.get((key, region, metric), {}).items())]
         return float(np.mean(values)) if values else None
 
     def fused_by_spp(self, metric: str) -> dict[int, float | None]:

@@ -76,7 +76,17 @@ def sweep(
     journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
     rows = swept(scene, forest, settings, chosen.with_quality, effort, journal, progress)
     if over == "trade":
-        _store(scene, forest, settings, rows)
+        # Target times and target qualities choose from these settings.
+        metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
+        name = f"whole {metric}"
+        measured = [
+            MeasuredSettings(
+                setting.frame, row["ms"]["p50"], row["quality"][name], tuple(row["quality_range"][name])
+            )
+            for setting, row in zip(settings, rows, strict=True)
+        ]
+        camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
+        MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
     content = {
         "scene": scene.name,
         "forest": forest.digest(),
@@ -91,20 +101,6 @@ def sweep(
     write(content)
     journal.remove()
     return content
-
-
-def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dict[str, Any]]) -> None:
-    """Stores the settings that target times and target qualities choose from."""
-    metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
-    name = f"whole {metric}"
-    measured = [
-        MeasuredSettings(
-            setting.frame, row["ms"]["p50"], row["quality"][name], tuple(row["quality_range"][name])
-        )
-        for setting, row in zip(settings, rows, strict=True)
-    ]
-    camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
-    MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
 
 
 def swept(
@@ -151,7 +147,13 @@ def _group(
     """Rows of the same views, which take turns."""
     camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
     ours = [HybridMethod(renderer, setting.frame) for setting in same]
-    full = _full_traces(renderer, same)
+    # By samples per pixel and whether they are denoised.
+    wanted = [(setting, setting.frame.spp) for setting in same]
+    wanted += [(setting, 1) for setting in same if setting.over_one_spp]
+    full = {
+        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
+        for one, spp in wanted
+    }
     methods: list[Method] = [*ours, *full.values()]
 
     def passes(place: int, gaze: Gaze, seed: int) -> dict[str, float]:
@@ -178,16 +180,6 @@ def _group(
     return rows
 
 
-def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int, bool], FullTrace]:
-    """The full path-traced frames to compare with, by samples per pixel and whether they are denoised."""
-    wanted = [(setting, setting.frame.spp) for setting in settings]
-    wanted += [(setting, 1) for setting in settings if setting.over_one_spp]
-    return {
-        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
-        for one, spp in wanted
-    }
-
-
 def _row(
     setting: Setting, ours: Frames, full: dict[tuple[int, bool], Frames], effort: SweepEffort
 ) -> dict[str, Any]:
@@ -203,20 +195,14 @@ def _row(
         "ratio_interval": ratio_interval(same, total),
         "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
         "repeats": effort.repeats,
-        **_ranges(setting, total, same),
     }
+    if len(setting.seen) > 1:
+        times, of_views = (medians_by_view(found, len(setting.seen)) for found in (total, same))
+        ratios = [over / under for over, under in zip(of_views, times, strict=True)]
+        row |= {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
     if setting.over_one_spp:
         row["ratio_1spp"] = ratio_of_medians(of_full[1, setting.is_denoised], total)
     return {**row, "paper": setting.paper} if setting.paper else row
-
-
-def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str, Any]:
-    """Least and greatest medians of times, and their ratios, over the views; empty for a single view."""
-    if len(setting.seen) < 2:
-        return {}
-    times, of_full = (medians_by_view(found, len(setting.seen)) for found in (total, full))
-    ratios = [over / under for over, under in zip(of_full, times, strict=True)]
-    return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
 
 
 def regions_of(setting: Setting) -> dict[str, ImageRegion]:

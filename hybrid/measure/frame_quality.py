@@ -79,8 +79,7 @@ def tie_metrics(
     These are the metrics that methods are compared by: JOD and FLIP of the fovea, PSNR and SSIM if neither is
     installed, and SSIM of the whole frame.
     """
-    fovea = regions["foveal"]
-    whole = ImageRegion.of("whole", np.ones_like(fovea.mask))
+    fovea, whole = regions["foveal"], regions["whole"]
     perceptual = region_metrics(image, half, fovea, viewer, ("jod", "flip"))
     of_fovea = perceptual or region_metrics(image, half, fovea, viewer, ("psnr", "ssim"))
     found = {fovea.name: of_fovea, whole.name: region_metrics(image, half, whole, viewer, ("ssim",))}

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
-from hybrid.base.progress import Steps, no_progress
+from hybrid.base.progress import Steps
 
 # How far the gaze moves from the centre, in fractions of the frame's width and height.
 REACH = (0.15, 0.15)
@@ -83,37 +80,18 @@ def jittered_view(view: View, number: int) -> View:
     return replace(view, camera=replace(view.camera, world_to_camera=turn @ view.camera.world_to_camera))
 
 
-def interleaved(
-    methods: dict[str, Callable[[Gaze, int], Any]],
-    repeats: int,
-    warm_up: int,
-    progress: Steps = no_progress,
-    reach: tuple[float, float] = REACH,
-) -> dict[str, list[float]]:
-    """Milliseconds of each method at each step of the gaze path; at each step, all methods take turns.
-
-    Methods are functions of gaze and seed that return when their frame is complete. Warm-up frames come
-    before the `repeats` measured ones.
-    """
-
-    def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
-        start = time.perf_counter()
-        method(gaze, seed)
-        return {"total": (time.perf_counter() - start) * 1000}
-
-    timed = [partial(total, method) for method in methods.values()]
-    found = interleaved_passes(timed, repeats, warm_up, progress, reach)
-    return {name: [frame["total"] for frame in frames] for name, frames in zip(methods, found, strict=True)}
-
-
 def interleaved_passes(
     methods: Sequence[Callable[[Gaze, int], dict[str, float]]],
     repeats: int,
     warm_up: int,
     progress: Steps,
-    reach: tuple[float, float] = REACH,
+    reach: tuple[float, float],
 ) -> list[list[dict[str, float]]]:
-    """Milliseconds per pass of each frame of each method: `interleaved` for frames that time themselves."""
+    """Milliseconds per pass of each method at each step of the gaze path, on which all methods take turns.
+
+    Methods are functions of gaze and seed that time their frame. Warm-up frames come before the `repeats`
+    measured ones.
+    """
     found: list[list[dict[str, float]]] = [[] for _ in methods]
     path = gaze_path(repeats, reach)
     for turn in range(-warm_up, repeats):

@@ -60,8 +60,14 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, ImageRegion]:
     fov-b to fov-a; the periphery outside fov-a; and the salient fifth of the reference. UserError if the gaze
     lies outside the frame, or if a region is empty.
     """
-    plain = plain_regions(foveation, (reference.shape[0], reference.shape[1]))
-    return {**plain, "salient": ImageRegion.of("salient", _salient(reference))}
+    height, width = reference.shape[:2]
+    plain = plain_regions(foveation, (height, width))
+    step = max(1, max(height, width) // _COARSE)
+    rows, columns = height // step, width // step
+    coarse = reference[: rows * step, : columns * step].reshape(rows, step, columns, step, 3).mean((1, 3))
+    found = zoom(saliency(coarse.astype(np.float32)), (height / rows, width / columns), order=1)
+    salient = np.asarray(found > np.quantile(found, _SALIENT_ABOVE))
+    return {**plain, "salient": ImageRegion.of("salient", salient)}
 
 
 def plain_regions(
@@ -91,13 +97,3 @@ def plain_regions(
     return {
         name: ImageRegion.of(name, mask) for name, mask in masks.items() if name in set(wanted) - left_out
     }
-
-
-def _salient(reference: Image) -> NDArray[np.bool_]:
-    """(H, W) the most salient fifth of an image."""
-    height, width = reference.shape[:2]
-    step = max(1, max(height, width) // _COARSE)
-    rows, columns = height // step, width // step
-    coarse = reference[: rows * step, : columns * step].reshape(rows, step, columns, step, 3).mean((1, 3))
-    found = zoom(saliency(coarse.astype(np.float32)), (height / rows, width / columns), order=1)
-    return np.asarray(found > np.quantile(found, _SALIENT_ABOVE))

@@ -141,21 +141,15 @@ def layers_decision(display: Display, size: tuple[int, int]) -> Decision:
 
     By the acuity model that frames have unless told otherwise.
     """
-    layers = FIXED_LAYERS - _coarsest(display, size) + 1
+    all_layers, coarsest = LayerRange(_NYQUIST, (0,) * FIXED_LAYERS), FIXED_LAYERS
+    for gaze in _GAZES:
+        detail = detail_map(display, gaze, *size, ACUITY_MODELS[DEFAULT_ACUITY_MODEL], _FOV_B, all_layers)
+        shown = [step.layer for number, step in enumerate(detail.steps) if (detail.weight(number) > 0).any()]
+        coarsest = min(coarsest, *shown)
+    layers = FIXED_LAYERS - coarsest + 1
     evidence = {"pixels_per_degree": display.pixels_per_degree, "least_side": min(size)}
     total = [sum(_COARSER**step for step in range(count)) for count in (FIXED_LAYERS, layers)]
     return Decision(LAYERS, layers, FIXED_LAYERS, evidence, total[0] / total[1], "Gaussians in all layers")
-
-
-def _coarsest(display: Display, size: tuple[int, int]) -> int:
-    """Number of the coarsest of FIXED_LAYERS layers that is drawn."""
-    layers = LayerRange(_NYQUIST, (0,) * FIXED_LAYERS)
-    found = FIXED_LAYERS
-    for gaze in _GAZES:
-        detail = detail_map(display, gaze, *size, ACUITY_MODELS[DEFAULT_ACUITY_MODEL], _FOV_B, layers)
-        shown = [step.layer for number, step in enumerate(detail.steps) if (detail.weight(number) > 0).any()]
-        found = min(found, *shown)
-    return found
 
 
 DENOISED, RAW = "denoised", "raw"

@@ -14,7 +14,7 @@ import torch
 
 from compose.base.errors import UserError, one_line
 from hybrid.base.compute_device import device_arrays
-from hybrid.base.progress import interrupts_between_steps, no_progress
+from hybrid.base.progress import Steps, interrupts_between_steps, no_progress
 from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, HALF, LAYERS, Value
 from hybrid.preparation.fusion_training import fusion_steps, with_fusion
 from hybrid.preparation.gaussian_count import GAUSSIANS
@@ -131,7 +131,7 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     frames: Frames,
     path: Path,
     settings: TrainingSettings | None = None,
-    progress: Callable[[int, int], None] = no_progress,
+    progress: Steps = no_progress,
     report: Callable[[LeftOut], None] = say_left_out,
     start: Forest | None = None,
     light: SurfaceLight | None = None,

@@ -117,7 +117,10 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
         if len(traced) > 1:
             traced += [_mixed(traced, rng) for _ in range(_MIXED)]
         for estimate, quick in product(traced, (False, True)):
-            parents = _parents(estimate, splat, enlargement, quick)
+            tensors = [mi.TensorXf(image) for image in estimate[:3]]
+            denoised = np.array(denoised_for_fusion(tensors, quick))
+            unknown, features = np.full_like(denoised, np.inf), estimate[1:]
+            parents = Parents(estimate.radiance, unknown, denoised, splat, *features, enlargement, quick)
             yield _part(Example(parents, reference, number), rng)
 
 
@@ -132,12 +135,6 @@ class _Estimate(NamedTuple):
     albedo: Image
     normal: Image
     samples: Image
-
-
-def _parents(estimate: _Estimate, splat: Image, enlargement: float, quick: bool) -> Parents:
-    denoised = np.array(denoised_for_fusion([mi.TensorXf(image) for image in estimate[:3]], quick))
-    unknown = np.full_like(denoised, np.inf)
-    return Parents(estimate.radiance, unknown, denoised, splat, *estimate[1:], enlargement, quick)
 
 
 def _mixed(traced: list[_Estimate], rng: np.random.Generator) -> _Estimate:

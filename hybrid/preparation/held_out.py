@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from compose.camera.camera import Camera
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.image_metrics import quality
 from hybrid.preparation.training_views import Frames, posed_view, training_view
 from pathtrace.dataset.captured_frames import is_intact, read_frame, render_frame, write_frame
@@ -17,7 +17,7 @@ from pathtrace.dataset.frame_set import FrameSet
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
-from splat.training.training_view import TrainingView, reduced
+from splat.training.training_view import reduced
 
 
 def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
@@ -27,7 +27,12 @@ def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
     finite are left out. Rows have layer (1 to L), nodes and, with held-out views, psnr in dB and ssim.
     """
     renderer = ForestRenderer(device_arrays(), forest)
-    views = _views(frames)
+    if isinstance(frames, FrameSet):
+        # A frame that is not finite tells nothing: its PSNR would be NaN, and the mean as well.
+        captured = (training_view(entry, frames.courses) for entry in frames.held_out)
+        views = [view for view in captured if view.is_finite]
+    else:
+        views = [posed_view(image) for image in frames.held_out]
     rows: list[dict[str, Any]] = []
     for number, count in enumerate(forest.counts, start=1):
         factor = 2 ** (len(forest.counts) - number)
@@ -42,15 +47,6 @@ def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
 def _means(rows: list[dict[str, float]]) -> dict[str, float]:
     """Means by name over rows; empty if there are none."""
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]} if rows else {}
-
-
-def _views(frames: Frames) -> list[TrainingView]:
-    """The held-out views."""
-    if not isinstance(frames, FrameSet):
-        return [posed_view(image) for image in frames.held_out]
-    # A frame that is not finite tells nothing: its PSNR would be NaN, and the mean as well.
-    views = (training_view(entry, frames.courses) for entry in frames.held_out)
-    return [view for view in views if view.is_finite]
 
 
 # Samples per pixel of their frames, which are denoised, like those that are trained on: several times as many
@@ -71,12 +67,7 @@ class Judges:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        tracer: Tracer,
-        cameras: list[Camera],
-        times: list[float],
-        progress: Callable[[int, int], None],
+        self, folder: Path, tracer: Tracer, cameras: list[Camera], times: list[float], progress: Steps
     ):
         self._cameras, self._times = cameras, times
         self._files = [folder / f"{n:04d}.exr" for n in range(len(cameras))]

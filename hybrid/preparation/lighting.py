@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from hybrid.base.progress import Bars
 from hybrid.preparation.forest_training import motion_of
@@ -57,16 +56,26 @@ def light_over_time(
     entries = frames.training[:: -(-len(frames.training) // _VIEWS)]
     views = [training_view(entry, frames.courses) for entry in entries]
     rng = np.random.default_rng([seed, 5])
-    times = _times(scene)
+    seconds = 0.0 if scene.moving is None else scene.moving.motion.seconds
+    steps = min(max(round(seconds * _PER_SECOND) + 1, _LEAST_TIMES), _MOST_TIMES)
+    times = [float(time) for time in np.linspace(0, 1, steps)]
     count = min(int(gaussians * _POINTS), _MOST_NUMBERS // (3 * len(times)))
     seeds, instance = _seeds(views, count, motion, rng)
     if not len(instance):
         return None
-    at = partial(_points, seeds, instance, motion, _lifts(seeds, instance))
+    lifts = torch.zeros(len(instance))
+    for number in instance[instance >= 0].unique():
+        own = seeds.means[:, instance == number]
+        lifts[instance == number] = _LIFT * torch.linalg.vector_norm(own.amax(dim=1) - own.amin(dim=1))
+    at = partial(_points, seeds, instance, motion, lifts)
     moving = np.flatnonzero(instance.numpy() >= 0)
     with bars("light over time") as bar:
         irradiance = irradiance_over_time(scene, cache, at, moving, times, seed, bar)
-    factors = _of_usual(irradiance)
+    # Irradiance (T, 3, N) over that which training has seen most of, up to a limit.
+    perceived = (irradiance ** (1 / _GAMMA)).mean(axis=0) ** _GAMMA
+    usual = (np.median(irradiance, axis=0) + perceived) / 2
+    least = max(_DARK * float(usual.mean()), 1e-12)
+    factors = np.minimum((irradiance + least) / (usual + least), np.float32(_LARGEST))
     changes = np.ptp(factors, axis=0).mean(axis=0) > _LEAST_CHANGE
     kept = (torch.from_numpy(part) for part in (factors.astype(np.float16), changes))
     return SurfaceLight(seeds.means, _normals(seeds), instance, *kept)
@@ -91,33 +100,10 @@ def _normals(seeds: Gaussians) -> torch.Tensor:
     return turned(seeds.rotations, torch.tensor([[0.0], [0.0], [1.0]]).expand(3, len(seeds)))
 
 
-def _lifts(seeds: Gaussians, instance: torch.Tensor) -> torch.Tensor:
-    """(N,) how far points are lifted off their surface."""
-    lifts = torch.zeros(len(instance))
-    for number in instance[instance >= 0].unique():
-        own = seeds.means[:, instance == number]
-        lifts[instance == number] = _LIFT * torch.linalg.vector_norm(own.amax(dim=1) - own.amin(dim=1))
-    return lifts
-
-
 def _points(
     seeds: Gaussians, instance: torch.Tensor, motion: NodeMotion | None, lifts: torch.Tensor, time: float
 ) -> Points:
-    """Where the seeds are at a time."""
+    """Where the seeds are at a time, lifted off their surface by `lifts` (N,)."""
     shown = seeds if motion is None else motion.shown(seeds, instance, time)
     normals = _normals(shown)
     return Points((shown.means + lifts * normals).T.numpy(), normals.T.numpy())
-
-
-def _times(scene: Scene) -> list[float]:
-    seconds = 0.0 if scene.moving is None else scene.moving.motion.seconds
-    count = min(max(round(seconds * _PER_SECOND) + 1, _LEAST_TIMES), _MOST_TIMES)
-    return [float(time) for time in np.linspace(0, 1, count)]
-
-
-def _of_usual(irradiance: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Irradiance (T, 3, N) over that which training has seen most of, up to a limit."""
-    perceived = (irradiance ** (1 / _GAMMA)).mean(axis=0) ** _GAMMA
-    usual = (np.median(irradiance, axis=0) + perceived) / 2
-    least = max(_DARK * float(usual.mean()), 1e-12)
-    return np.minimum((irradiance + least) / (usual + least), np.float32(_LARGEST))

@@ -36,8 +36,9 @@ def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
     frame = srgb_from_radiance(look.denoised[0])
     _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
     view = srgb_from_radiance(look.radiance[0])
-    turns = (look.gloss[0] != DIFFUSE) | look.reflected[0]
-    _image(turning, _marked(view, turns, _TURNING), "radiance turns with the view (red)")
+    turns = ((look.gloss[0] != DIFFUSE) | look.reflected[0])[..., None]
+    marked = np.where(turns, (1 - _SHARE) * view + _SHARE * np.array(_TURNING), view)
+    _image(turning, marked, "radiance turns with the view (red)")
     _plot_gaussians(numbers, plan)
     _plot_depths(depths, plan)
     rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
@@ -53,10 +54,6 @@ def _image(axes: Any, image: Any, title: str) -> None:
     axes.imshow(np.clip(image, 0, 1), interpolation="nearest")
     axes.set_title(title, fontsize=9)
     axes.axis("off")
-
-
-def _marked(image: Any, where: Any, colour: tuple[float, float, float]) -> Any:
-    return np.where(where[..., None], (1 - _SHARE) * image + _SHARE * np.array(colour), image)
 
 
 def _plot_gaussians(axes: Any, plan: ScenePlan) -> None:

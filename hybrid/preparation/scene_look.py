@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -87,17 +86,14 @@ def look_at_scene(scene: Scene, surfaces: Surfaces, region: ViewingRegion, seed:
             distance = tracer.hits(larger, frame_positions(larger)).unfolded
             larger_views.append((larger, distance.reshape(larger.height, larger.width)))
     scene.show(0.0)
-    return Look(views, radiance, gloss, reflected, halves, larger_views, _parallax(surfaces, cameras))
+    places = np.stack([camera.position for camera in cameras])
+    apart = np.linalg.norm(places[:, None] - places, axis=-1).max()
+    away = np.median([surfaces.median_distance(camera) for camera in cameras])
+    parallax = float(apart / away) if np.isfinite(away) else 0.0
+    return Look(views, radiance, gloss, reflected, halves, larger_views, parallax)
 
 
 def traced_halves(tracer: Tracer, camera: Camera, seed: int) -> tuple[TracedImage, TracedImage]:
     """Two independent halves of the samples of a frame."""
     one, other = np.random.SeedSequence(seed).generate_state(2)
     return trace_frame(tracer, camera, HALF_SPP, int(one)), trace_frame(tracer, camera, HALF_SPP, int(other))
-
-
-def _parallax(surfaces: Surfaces, cameras: Sequence[Camera]) -> float:
-    places = np.stack([camera.position for camera in cameras])
-    apart = np.linalg.norm(places[:, None] - places, axis=-1).max()
-    away = np.median([surfaces.median_distance(camera) for camera in cameras])
-    return float(apart / away) if np.isfinite(away) else 0.0

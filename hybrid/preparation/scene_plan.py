@@ -6,7 +6,7 @@ It is stored in the cache folder, is a part of frame sets and forests, and a use
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from compose.base.errors import UserError
 from compose.base.files import json_text, read_json, write_whole
 from compose.eye.display import DISPLAYS, Display
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.progress import Bars, no_bars, no_progress
+from hybrid.base.progress import Bars, Steps, no_bars, no_progress
 from hybrid.preparation.decisions import (
     DEGREE,
     DENOISED,
@@ -77,7 +77,7 @@ def plan_of(
     size: tuple[int, int],
     region: str = NEAR,
     seed: int = 0,
-    progress: Callable[[int, int], None] = no_progress,
+    progress: Steps = no_progress,
 ) -> ScenePlan:
     """Looks at a scene and decides what it requires; afterwards, one that moves shows its first time.
 
@@ -97,8 +97,15 @@ def plan_of(
     progress(1, _PARTS)
     look = look_at_scene(scene, surfaces, where, seed)
     progress(2, _PARTS)
+    # Whether there are dynamic trees, courses of motion and light, and frames of many times.
+    shapes = [] if scene.moving is None else scene.moving.shapes
+    moves = {"shapes": len(shapes), "triangles": sum(int(shape.face_count()) for shape in shapes)}
+    # Whether the light converges as it is, or what would help.
+    found = light_difficulties(scene)
+    causes = {difficulty.kind: list(difficulty.causes) for difficulty in found}
+    kinds = "+".join(difficulty.kind for difficulty in found)
     decisions = (
-        _motion_decision(scene),
+        Decision(MOTION, motion_of(scene), MOVING, moves, 1.0, "times"),
         region_decision(region, look, breadth),
         *path_decisions(scene, [view.camera for view in look.views], seed),
         degree_decision(look),
@@ -106,31 +113,15 @@ def plan_of(
         layers_decision(display, size),
         gaussians_decision(look, breadth),
         *sample_decisions(look),
-        _light_decision(scene),
+        Decision(LIGHT, kinds or "plain", "plain", {"causes": causes}, 1.0, "noise"),
     )
     progress(3, _PARTS)
     return ScenePlan(scene.name, scene.own_hash, decisions, look)
 
 
-def _motion_decision(scene: Scene) -> Decision:
-    """Whether there are dynamic trees, courses of motion and light, and frames of many times."""
-    shapes = [] if scene.moving is None else scene.moving.shapes
-    triangles = sum(int(shape.face_count()) for shape in shapes)
-    evidence = {"shapes": len(shapes), "triangles": triangles}
-    return Decision(MOTION, motion_of(scene), MOVING, evidence, 1.0, "times")
-
-
 def motion_of(scene: Scene) -> str:
     """STILL or MOVING."""
     return STILL if scene.moving is None else MOVING
-
-
-def _light_decision(scene: Scene) -> Decision:
-    """Whether the light converges as it is, or what would help."""
-    found = light_difficulties(scene)
-    evidence = {"causes": {difficulty.kind: list(difficulty.causes) for difficulty in found}}
-    kinds = "+".join(difficulty.kind for difficulty in found)
-    return Decision(LIGHT, kinds or "plain", "plain", evidence, 1.0, "noise")
 
 
 def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:

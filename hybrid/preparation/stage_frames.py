@@ -63,10 +63,15 @@ def wanted_of(
     had = frames.samples
     aimed = [stage.spp_at(scale) for _, scale in views]
     if forest is not None and had:
-        renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
+        renderer, asked = ForestRenderer(device_arrays(), forest), _asked(frames)
+        # Squared error of denoised frames over that of what was traced, on average.
+        errors = [_error(frames, number).mse for number in asked]
+        share = float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
         for number, samples in enumerate(had):
-            if samples < aimed[number] and not _is_worthwhile(frames, number, renderer, share):
-                aimed[number] = samples
+            if samples < aimed[number]:
+                # Its own error must be a noticeable part of its difference from the forest.
+                noise, difference = _noise(frames, number), _difference(frames, number, renderer)
+                aimed[number] = aimed[number] if share * noise > _WORTHWHILE * difference else samples
     return [
         Wanted(camera, max(spp, *had[number : number + 1], 2), view_time(frames.scene, number))
         for number, ((camera, _), spp) in enumerate(zip(views, aimed, strict=True))
@@ -89,22 +94,10 @@ def _asked(frames: GrowingFrames) -> list[int]:
     return sorted({round(share) for share in np.linspace(0, count - 1, _ASKED)})
 
 
-def _share_left(frames: GrowingFrames) -> float:
-    """Squared error of denoised frames over that of what was traced, on average."""
-    asked = _asked(frames)
-    errors = [_error(frames, number).mse for number in asked]
-    return float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
-
-
 def _noise(frames: GrowingFrames, number: int) -> float:
     """Squared error of what was traced of a view, in sRGB values."""
     one, other = (srgb_from_radiance(half.radiance) for half in frames.halves(number))
     return float(np.mean((one - other) ** 2) / 4)
-
-
-def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer, share: float) -> bool:
-    """Whether a frame's own error is a noticeable part of its difference from the forest."""
-    return share * _noise(frames, number) > _WORTHWHILE * _difference(frames, number, renderer)
 
 
 def _difference(frames: GrowingFrames, number: int, renderer: ForestRenderer) -> float:

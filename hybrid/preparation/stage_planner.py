@@ -62,7 +62,10 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
     for number, earlier in enumerate(before):
         had = max(one.spp_at(earlier.scale) for one in before[number:])
         frames += _frames(earlier.views, earlier, stage.spp_at(earlier.scale) - had)
-    return Seconds(frames, _prepared(stage, before) + stage.steps * step_seconds(stage))
+    # What a training takes besides its steps.
+    besides = sum(one.views * one.side**2 for one in [*before, stage]) * _READ_PIXEL
+    besides += stage.gaussians * _BUILT if before else _SEEDED
+    return Seconds(frames, besides + stage.steps * step_seconds(stage))
 
 
 def _least_steps(stage: Stage) -> int:
@@ -115,12 +118,6 @@ def _least_first(stage: Stage, pace: Seconds, left: float) -> Stage:
 def _frames(views: int, stage: Stage, spp: int) -> float:
     """What it takes to trace further samples of views of a stage's size."""
     return views * stage.side**2 * (_TRACED_PIXEL + spp * _SAMPLE) if spp > 0 else 0.0
-
-
-def _prepared(stage: Stage, before: Sequence[Stage]) -> float:
-    """What a training takes besides its steps."""
-    pixels = sum(one.views * one.side**2 for one in [*before, stage])
-    return pixels * _READ_PIXEL + (stage.gaussians * _BUILT if before else _SEEDED)
 
 
 _KEY = "seconds"

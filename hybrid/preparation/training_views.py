@@ -58,12 +58,6 @@ def posed_view(image: PosedImage) -> TrainingView:
     return TrainingView(pixels.camera, pixels.radiance, distance, normal, time=image.time, instance=instance)
 
 
-def posed_views(folder: PosedFolder) -> list[TrainingView]:
-    """The training images of a folder as training views, with distances that are guesses."""
-    views = [posed_view(image) for image in folder.training]
-    return with_guesses(views, folder.points, folder.bounds)
-
-
 def motion_for(frames: Frames, asked: MotionModel | None, labels: Labels | None = None) -> MotionModel:
     """The model of motion for frames: what was asked for, else what they allow.
 
@@ -94,7 +88,9 @@ def labelled_views(frames: Frames, settings: TrainingSettings) -> list[TrainingV
         each = (training_view(entry, frames.courses) for entry in frames.training)
         views = [in_half_precision(view) if settings.half_frames else view for view in each]
     else:
-        views = posed_views(frames)
+        # Their distances are guesses.
+        posed = [posed_view(image) for image in frames.training]
+        views = with_guesses(posed, frames.points, frames.bounds)
     wanted = settings.labels
     if wanted is None and settings.motion is MotionModel.D_GS_OF_DYNAMIC:
         wanted = Labels.MASKS if all(view.instance is not None for view in views) else Labels.FLOW

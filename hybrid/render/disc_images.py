@@ -10,7 +10,6 @@ import drjit as dr
 import numpy as np
 import torch
 
-from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
 from compose.fovea.samples import Samples
@@ -77,7 +76,11 @@ class DiscImages:
         Surroundings are three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
         that are not finite, or out of proportion to all samples, count as black.
         """
-        surroundings = _usable(surroundings, samples.radiance)
+        brightest: Any = 1.0
+        for channel in samples.radiance:
+            brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
+        most = MOST * dr.max(brightest)
+        surroundings = [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]
         # No albedo is traced outside the disc; the image is the best substitute.
         like_albedo = [dr.clip(channel, 0, 1) for channel in surroundings]
         channels = disc.images(
@@ -113,27 +116,15 @@ def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
     return (denoise_coarsely if quick else denoise)(radiance, albedo, normal)
 
 
-def of_disc(disc: Disc, images: Sequence[Image | torch.Tensor]) -> list[list[Any]]:
-    """Of images (h, w, 3) of the rectangle three Floats (D,) each, the disc's pixels."""
+def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any) -> list[list[Any]]:
+    """Of images (h, w, 3) of the rectangle three Floats (N,) each, in some of its pixels, UInt (N,)."""
     arrays, size = disc.arrays, disc.arrays.constant(disc.shape[0] * disc.shape[1])
     # At once: each tensor that Dr.Jit takes costs as much as a small kernel.
-    values = _flat(arrays, images)
-    at = [disc.inside + size * number for number in range(3 * len(images))]
+    planes = torch.cat([torch.as_tensor(image).permute(2, 0, 1).flatten() for image in images])
+    values = arrays.plain.Float(planes.numpy() if arrays.backend == "cuda" and not planes.is_cuda else planes)
+    at = [pixels + size * number for number in range(3 * len(images))]
     channels = [dr.gather(type(values), values, index) for index in at]
     return [channels[k : k + 3] for k in range(0, len(channels), 3)]
-
-
-def channels_of(arrays: Arrays, image: Image | torch.Tensor) -> list[Any]:
-    """Floats (h * w,), the channels of an image (h, w, C)."""
-    values, size = _flat(arrays, [image]), image.shape[0] * image.shape[1]
-    pixel, step = dr.arange(arrays.plain.UInt, size), arrays.constant(size)
-    return [dr.gather(type(values), values, pixel + step * c) for c in range(image.shape[2])]
-
-
-def _flat(arrays: Arrays, images: Sequence[Image | torch.Tensor]) -> Any:
-    """Float of all channels of images (h, w, C), one plane after another."""
-    planes = torch.cat([torch.as_tensor(image).permute(2, 0, 1).flatten() for image in images])
-    return arrays.plain.Float(planes.numpy() if arrays.backend == "cuda" and not planes.is_cuda else planes)
 
 
 def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
@@ -156,12 +147,3 @@ def _torch(tensor: Any) -> torch.Tensor:
         return torch.from_numpy(tensor.numpy())
     shared: torch.Tensor = tensor.torch()
     return shared
-
-
-def _usable(surroundings: list[Any], samples: list[Any]) -> list[Any]:
-    """Surroundings, three Floats (h * w,), black where they cannot be radiance beside samples (D,)."""
-    brightest: Any = 1.0
-    for channel in samples:
-        brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
-    most = MOST * dr.max(brightest)
-    return [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]

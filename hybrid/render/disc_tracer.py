@@ -272,7 +272,8 @@ def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Un
     disc = request.disc
     # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
     parents = parents_of(disc, known, underlay, quick=True)
-    denoised, splat = (channels_of(disc.arrays, image) for image in (parents.denoised, parents.splat))
+    everywhere = dr.arange(disc.arrays.plain.UInt, disc.shape[0] * disc.shape[1])
+    denoised, splat = channels_of(disc, [parents.denoised, parents.splat], everywhere)
     differs = disagreement(disc.arrays, denoised, splat, disc.shape)
     worth = dr.gather(type(differs), differs, disc.inside)
     left = (request.spp - _first_spp(request.spp)) * disc.count

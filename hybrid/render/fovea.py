@@ -15,7 +15,7 @@ from compose.fusion.combination import fuse
 from compose.fusion.network import Fusion
 from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import device_arrays, torch_working_on
-from hybrid.render.disc_images import DiscImages, Underlay, of_disc, parents_of
+from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from pathtrace.trace.tracer import Tracer
 
@@ -39,12 +39,6 @@ class FoveaImage:
     denoised: list[Any] | None = None
     weights: list[Any] | None = None
     excluded: int = 0
-
-    @staticmethod
-    def none(disc: Disc) -> FoveaImage:
-        """That of a disc of which nothing was traced."""
-        samples = Samples.none(disc.arrays, disc.pixels)
-        return FoveaImage(disc, samples.radiance, samples)
 
 
 class Fovea:
@@ -120,5 +114,6 @@ class Fovea:
         parents = parents_of(disc, samples, underlay, quick)
         with torch_working_on(disc.shape[0] * disc.shape[1]):
             fused = fuse(parents, self._fusion)
-        radiance, shown, weights = of_disc(disc, [fused.radiance, parents.denoised, fused.weights])
+        made = [fused.radiance, parents.denoised, fused.weights]
+        radiance, shown, weights = channels_of(disc, made, disc.inside)
         return FoveaImage(disc, radiance, samples, shown, weights, fused.excluded)

@@ -223,7 +223,7 @@ class Filler:
         disc = _disc(self._arrays, camera, unknown, side)
         # What is beside them as well: it shines through the enlargement, and denoising looks at it.
         cells = maximum_filter(unknown, 3, mode="nearest") > 0
-        traced, known = _light(self._arrays, light(), camera, cells, side, effort, seed + _STREAM)
+        traced, known = self._light(light(), camera, cells, effort, seed + _STREAM)
         albedo = probe.auxiliary(
             camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
         ).albedo
@@ -231,6 +231,31 @@ class Filler:
         if key is not None:
             self._kept = (camera, key), fill
         return fill
+
+    def _light(
+        self, tracer: Tracer, camera: Camera, cells: NDArray[np.bool_], effort: FillEffort, seed: int
+    ) -> tuple[Any, Disc]:
+        """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
+
+        Of the cells in which a frame is tried, (rows, columns) says which. Returns a tensor (h, w, 3) of the
+        rectangle around them, and the pixels in them.
+        """
+        known = _known(self._arrays, camera, cells, self._coverage.cell(camera) // _SIDE)
+        corner = pixel_positions(mi.UInt32(known.pixels), known.width)
+        x, y = corner.x * _SIDE, corner.y * _SIDE
+        ends = constant(mi.Float, camera.width), constant(mi.Float, camera.height)
+        wide, tall = (dr.minimum(_SIDE, end - start) for start, end in zip((x, y), ends, strict=True))
+        dr.eval(x, y, wide, tall)
+        positions = FilmPositions(x, y, wide, tall)
+        traced, features = tracer.trace_with_features(camera, positions, effort.light_spp, seed)
+        radiance, albedo, normal = (
+            known.tensor(known.images([dr.detach(of, preserve_type=False) for of in channels], [0.0] * 3))
+            for channels in (traced.radiance, features.albedo, features.normal)
+        )
+        dr.eval(radiance, albedo, normal)
+        light = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
+        dr.eval(light)
+        return light, known
 
     def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
         """Radiance of the D pixels with an albedo in a light that is linear between its pixels.
@@ -281,38 +306,6 @@ def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: in
     dr.eval(weights, shown)
     pixels = dr.compress(shown)
     return Disc(arrays, width, height, pixels, dr.gather(plain.Float, weights, pixels), None)
-
-
-def _light(
-    arrays: Arrays,
-    tracer: Tracer,
-    camera: Camera,
-    cells: NDArray[np.bool_],
-    side: int,
-    effort: FillEffort,
-    seed: int,
-) -> tuple[Any, Disc]:
-    """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
-
-    Of cells with a side in pixels of the frame, (rows, columns) says which. Returns a tensor (h, w, 3) of the
-    rectangle around them, and the pixels in them.
-    """
-    known = _known(arrays, camera, cells, side // _SIDE)
-    corner = pixel_positions(mi.UInt32(known.pixels), known.width)
-    x, y = corner.x * _SIDE, corner.y * _SIDE
-    ends = constant(mi.Float, camera.width), constant(mi.Float, camera.height)
-    wide, tall = (dr.minimum(_SIDE, end - start) for start, end in zip((x, y), ends, strict=True))
-    dr.eval(x, y, wide, tall)
-    positions = FilmPositions(x, y, wide, tall)
-    traced, features = tracer.trace_with_features(camera, positions, effort.light_spp, seed)
-    radiance, albedo, normal = (
-        known.tensor(known.images([dr.detach(of, preserve_type=False) for of in channels], [0.0] * 3))
-        for channels in (traced.radiance, features.albedo, features.normal)
-    )
-    dr.eval(radiance, albedo, normal)
-    light = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
-    dr.eval(light)
-    return light, known
 
 
 def _known(arrays: Arrays, camera: Camera, cells: NDArray[np.bool_], times: int) -> Disc:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, reading
 from compose.base.files import write_whole
 from compose.image.colour import Image, bytes_from_radiance
 from compose.image.exr import read_channels, write_channels
@@ -58,10 +58,8 @@ def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArr
 
     UserError if it is missing, damaged or not of the size (width, height) that is asked for.
     """
-    try:
+    with reading(path):
         return read_channels(path, size)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
 
 
 _INSTALL = "videos require PyAV: pip install 'foveated-hybrid-renderer[demo]'"

@@ -120,7 +120,7 @@ def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     return stored_cache(file, filled)
 
 
-def filled_cache(scene: Scene, progress: Steps = no_progress, seed: int = 0) -> IrradianceCache:
+def filled_cache(scene: Scene, progress: Steps = no_progress) -> IrradianceCache:
     """A cache filled for views around the scene's own camera; of a scene that moves, at time 0."""
     scene.show(0.0)
     camera = scene.camera
@@ -130,7 +130,7 @@ def filled_cache(scene: Scene, progress: Steps = no_progress, seed: int = 0) -> 
     except UserError:
         # There is no free space around the camera.
         cameras = [camera]
-    return fill_cache(scene, cameras, seed, progress)
+    return fill_cache(scene, cameras, 0, progress)
 
 
 class CachedTracer:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
+from compose.fovea.samples import Samples
 from compose.image.colour import Image
 from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.render.fovea import FoveaImage
@@ -52,7 +53,8 @@ class SplatRenderer:
         clock.lap("detail")
         image = self._periphery.draw(camera, detail, region)
         clock.lap("splat")
-        nothing = FoveaImage.none(Disc.in_region(self._arrays, region))
+        disc = Disc.in_region(self._arrays, region)
+        nothing = Samples.none(self._arrays, disc.pixels)
         return Frame(
             image=image,
             settings=settings,
@@ -60,7 +62,7 @@ class SplatRenderer:
             behind=nothing.radiance,
             detail=detail,
             nodes_drawn=image.nodes,
-            fovea=nothing,
+            fovea=FoveaImage(disc, nothing.radiance, nothing),
             region=region,
             milliseconds=clock.milliseconds(),
             more={"splat": self._periphery.whole(camera, settings).numpy()} if settings.aovs else {},

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from compose.camera.camera import View
+from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from hybrid.evaluation import comparison
 from hybrid.evaluation.baselines import FullTrace
@@ -54,12 +57,18 @@ def test_the_full_frame_is_denoised_where_the_disc_is(renderer, monkeypatch, mod
     assert (row["width"], row["height"], row["spp"], row["fov_a"], row["fov_b"]) == (32, 32, 2, 30, 10)
 
 
+def test_times_of_methods_are_told_apart():
+    """Sleeping takes at least as long as asked."""
+    slow, quick = lambda gaze, seed: time.sleep(0.02), lambda gaze, seed: None
+    times = [[comparison._timed(method, Gaze(), 0)["total"] for _ in range(3)] for method in (slow, quick)]
+    assert min(times[0]) >= 20 > min(times[1])
+
+
 def test_ratios_are_those_of_the_medians(renderer, monkeypatch):
     """Path tracing takes 30 ms, hybrid frames 10, their discs 6."""
-    times = {"hybrid": [10.0, 9, 11], "path_traced": [30.0, 90, 3], "disc": [6.0, 6, 6]}
-    monkeypatch.setattr(
-        comparison, "interleaved", lambda methods, *_: {name: times[name] for name in methods}
-    )
+    times = [[10.0, 9, 11], [30.0, 90, 3], [6.0, 6, 6]]
+    found = [[{"total": frame} for frame in frames] for frames in times]
+    monkeypatch.setattr(comparison, "interleaved_passes", lambda methods, *_: found)
     row = compare(renderer, [View(renderer.scene.camera)], FrameSettings(), 3, 1, ignore)
     assert (row["ratio"], row["ceiling"]) == (3.0, 5.0)
     assert row["path_traced_ms"]["p50"] == 30

@@ -210,5 +210,5 @@ def test_a_sweep_stays_off_the_page_of_another_scene_and_of_a_damaged_evaluation
 def test_a_forest_of_another_scene_is_refused(made, tmp_path):
     room = load_scene(small.corner())
     with pytest.raises(UserError, match="belongs to scene cornell"):
-        Evaluation(room, load_forest(made / "box.forest"), EvaluationSettings(), tmp_path)
+        Evaluation(room, load_forest(made / "box.forest"), EvaluationSettings(), tmp_path, None)
     assert not list(tmp_path.iterdir())

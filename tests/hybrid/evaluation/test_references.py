@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.evaluation.evaluation import reference_errors, reference_samples, stored_reference
+from hybrid.evaluation.evaluation import reference_samples, stored_reference
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.measure.reference import Reference
+from hybrid.measure.regions import regions
 from hybrid.render.frame_settings import FrameSettings
 from tests import small
 
@@ -53,9 +54,8 @@ def test_errors_are_told_by_region():
     reference.halves[1][...] = reference.halves[0]
     x, y = np.arange(64) + 0.5 - 16, np.arange(40) + 0.5 - 20
     reference.errors[...] = np.where(np.hypot(*np.meshgrid(x, y)) < 10, 1e-4, 1e-2)
-    rows = reference_errors(SETTINGS, 3, reference)
-    assert {row["view"] for row in rows} == {3}
-    psnr = {row["region"]: row["psnr"] for row in rows}
+    parts = regions(SETTINGS.frame.foveation, reference.radiance)
+    psnr = {name: reference.psnr(part.mask) for name, part in parts.items()}
     assert psnr["foveal"] == pytest.approx(40)
     assert psnr["peripheral"] == pytest.approx(20)
     assert 20 < psnr["whole"] < 21

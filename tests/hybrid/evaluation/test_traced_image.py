@@ -22,7 +22,9 @@ def tracer(backend) -> Tracer:
 
 def image(tracer: Tracer, spp: float, seed: int = 3, denoised: bool = False, clock: PassClock | None = None):
     camera = tracer.scene.camera.resized(WIDTH, HEIGHT)
-    return traced_image(tracer, camera, frame_positions(camera), WIDTH, spp, seed, denoised, clock)
+    return traced_image(
+        tracer, camera, frame_positions(camera), WIDTH, spp, seed, denoised, clock or PassClock()
+    )
 
 
 def test_a_fraction_of_a_sample_goes_to_a_fraction_of_the_pixels(tracer, monkeypatch):

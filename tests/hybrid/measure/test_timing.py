@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import drjit as dr
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from compose.eye.gaze import Gaze
 from hybrid.measure.frame_times import (
     REACH,
     gaze_path,
-    interleaved,
     interleaved_passes,
     jittered_view,
     percentiles,
@@ -58,13 +55,6 @@ def test_methods_take_turns_and_the_warm_up_does_not_count():
     # The warm-up takes the last steps of the path.
     assert [gaze for name, gaze, _ in calls if name == "a"] == [path[1], path[2], *path]
     assert done == [(number, 5) for number in range(1, 6)]
-
-
-def test_times_of_methods_are_told_apart():
-    """Sleeping takes at least as long as asked."""
-    times = interleaved({"slow": lambda gaze, seed: time.sleep(0.02), "quick": lambda gaze, seed: None}, 3, 1)
-    assert {name: len(values) for name, values in times.items()} == {"slow": 3, "quick": 3}
-    assert min(times["slow"]) >= 20 > min(times["quick"])
 
 
 @pytest.mark.usefixtures("backend", "own_home")

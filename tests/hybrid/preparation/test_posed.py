@@ -12,7 +12,7 @@ from compose.base.errors import UserError
 from compose.image.colour import srgb_from_radiance
 from hybrid.preparation.forest_training import checkpoint_path, train
 from hybrid.preparation.held_out import held_out_quality
-from hybrid.preparation.training_views import labelled_views, motion_for, posed_views, read_frames
+from hybrid.preparation.training_views import labelled_views, motion_for, read_frames
 from hybrid.render.forest_attachments import views_of
 from pathtrace.dataset.frame_set import FrameSet
 from pathtrace.dataset.posed_images import read_pixels
@@ -75,7 +75,7 @@ def _of_a_constant(frames) -> float:
 def test_distances_are_those_of_the_hull_and_of_points(folders):
     for layout, tolerance in (("still", 0.1), ("nerfies", 0.3)):
         frames = read_frames(folders[layout])
-        for image, view in zip(frames.training, posed_views(frames), strict=True):
+        for image, view in zip(frames.training, labelled_views(frames, SETTINGS), strict=True):
             exact, ball, _ = posed.cast(view.camera, image.time)
             if layout == "still":
                 assert np.array_equal(np.isinf(view.distance), ~ball)
