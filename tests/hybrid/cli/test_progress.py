@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 
 import pytest
 from rich.console import Console
@@ -72,7 +73,7 @@ def test_where_no_bar_can_be_drawn_there_is_a_line_now_and_then(monkeypatch, whe
     with progress_bar("capture (samples)") as bar:
         for done in (1, 4, 5, 10):
             bar(done, 10)
-    assert screen.getvalue().splitlines() == [
+    assert re.sub("\x1b\\[[0-9;]*m", "", screen.getvalue()).splitlines() == [
         "capture (samples): 4 of 10, 20 s, about 30 s left",
         "capture (samples): 10 of 10, 40 s, about 0 s left",
     ]

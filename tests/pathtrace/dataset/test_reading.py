@@ -107,7 +107,7 @@ def test_a_frame_set_of_ones_own_is_no_folder_of_posed_images(tmp_path):
 def test_images_may_be_jpeg_and_named_as_windows_does(tmp_path):
     folder = posed.write_synthetic(tmp_path / "a", alpha=False)
     for file in folder.rglob("*.png"):
-        Image.open(file).convert("RGB").save(file.with_suffix(".jpg"), quality=95)
+        Image.open(file).convert("RGB").save(file.with_suffix(".jpg"), quality=100, subsampling=0)
         file.unlink()
     edited(
         folder / "transforms_train.json",
@@ -117,7 +117,7 @@ def test_images_may_be_jpeg_and_named_as_windows_does(tmp_path):
     assert {image.file.suffix for image in found.images} == {".jpg"}
     _, _, colour = posed.cast(posed.camera(0), 0.0)
     shown = srgb_from_radiance(read_pixels(found.images[0]).radiance)
-    assert np.abs(shown - colour).mean() < 0.03
+    assert np.abs(shown - colour).max() < 0.03
 
 
 def test_a_field_of_view_may_be_given_for_each_side(tmp_path):

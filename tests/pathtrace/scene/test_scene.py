@@ -203,26 +203,23 @@ def test_threads_load_their_own_scenes(tmp_path):
 
 
 LEFT_OUT = {
-    "another camera": ({"plan": {"type": "orthographic"}}, "2 cameras; sensor, the first perspective one"),
-    "a thin lens": (
-        {"sensor": {**small.sensor(), "type": "thinlens", "aperture_radius": 0.1}},
-        "depth of field is left out",
-    ),
-    "hidden lights": ({"path": {"type": "path", "hide_emitters": True}}, "hide_emitters is ignored"),
-    "smoke": (
-        {"smoke": {"type": "sphere", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}},
-        "participating media are left out",
-    ),
+    "2 cameras; sensor, the first perspective one": lambda: {"plan": {"type": "orthographic"}},
+    "depth of field is left out": lambda: {
+        "sensor": {**small.sensor(), "type": "thinlens", "aperture_radius": 0.1}
+    },
+    "hide_emitters is ignored": lambda: {"path": {"type": "path", "hide_emitters": True}},
+    "participating media are left out": lambda: {
+        "smoke": {"type": "sphere", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}
+    },
 }
 
 
-@pytest.mark.parametrize("name", LEFT_OUT)
-def test_what_mitsuba_would_show_otherwise_is_said(name, caplog):
-    more, said = LEFT_OUT[name]
+@pytest.mark.parametrize("said", LEFT_OUT)
+def test_what_mitsuba_would_show_otherwise_is_said_once(said, caplog):
     scene_module._say.cache_clear()
     with caplog.at_level("INFO", logger="hybrid"):
         for _ in range(2):
-            load_scene({**small.furnace(), **more})
+            load_scene({**small.furnace(), **LEFT_OUT[said]()})
     assert [said in record.getMessage() for record in caplog.records] == [True]
 
 

@@ -217,8 +217,9 @@ def test_an_impossible_number_of_gaussians_is_named(tmp_path, count):
     ],
 )
 def test_unknown_properties_are_refused(tmp_path, old, new):
+    """Those that change the length of a row make the file too short, too."""
     edited(tmp_path, old, new)
-    with pytest.raises(UserError, match=r"g\.ply: not a 3D Gaussian splatting PLY"):
+    with pytest.raises(UserError, match=r"g\.ply: (not a 3D Gaussian splatting PLY|cannot be read)"):
         load_ply(tmp_path / "g.ply")
 
 
