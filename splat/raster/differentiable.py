@@ -136,19 +136,8 @@ def render_differentiable(
     return _Render.apply(arrays, camera, low_pass, *tensors)
 
 
-def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats; those of `aligned_rows`.
-
-    Raises:
-        ValueError: some harmonics are apart from `sh`; `seen_from` makes them part of it.
-    """
-    if gaussians.directional is not None:
-        raise ValueError("Gaussians with directional harmonics of their own: must be seen from an eye first")
-    return parameters_of(aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()]))
-
-
 def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
-    """The rows of tensors (..., N) as Dr.Jit floats, which start where vectors are aligned.
+    """The rows of tensors (..., N) as plain Dr.Jit floats, which start where vectors are aligned.
 
     They share the memory of tensors whose rows all do so, as those of a multiple of 16 Gaussians; others are
     copied. From rows elsewhere, Dr.Jit would compile other kernels for other numbers of Gaussians. Loads by
@@ -164,7 +153,7 @@ def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
         torch.cat([flat[k] for k in others], out=copy)
         for k, part in zip(others, copy.split(sizes), strict=True):
             flat[k] = part
-    return [arrays.from_torch(row) for rows in flat for row in rows]
+    return [dr.detach(arrays.from_torch(row), preserve_type=False) for rows in flat for row in rows]
 
 
 def _is_aligned(rows: torch.Tensor) -> bool:
@@ -188,10 +177,8 @@ class _Render(torch.autograd.Function):
     def forward(  # type: ignore[override]
         ctx: Any, arrays: Arrays, camera: Camera, low_pass: float, *tensors: torch.Tensor
     ) -> torch.Tensor:
-        rows = [
-            dr.detach(row, preserve_type=False)
-            for row in parameters_from(arrays, Gaussians(*tensors)).leaves()
-        ]
+        # Of tensors that may have other shapes than when they were made Gaussians.
+        rows = aligned_rows(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
         _wait_for_torch(tensors[0].device)
         grid = TileGrid(camera.width, camera.height)
         plain = arrays.plain
@@ -233,7 +220,7 @@ class _Render(torch.autograd.Function):
 
 
 def parameters_of(rows: list[Any]) -> Parameters:
-    """Parameters from their rows in the order of `Parameters.leaves`."""
+    """Parameters from their rows, in the order of the parameter tensors' memory."""
     means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
     return Parameters(means, log_scales, rotations, rows[10], [sh[k : k + 3] for k in range(0, len(sh), 3)])
 
@@ -243,7 +230,7 @@ class PaddedRows:
     """Rows of N Gaussians, to be followed by invisible ones: trainings render other numbers in each view.
 
     Attributes:
-        rows: (N,) each, in the order of `Parameters.leaves`.
+        rows: (N,) each, in the order of the parameter tensors' memory.
         count: N, in memory.
         size: more than N.
     """

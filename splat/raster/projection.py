@@ -14,7 +14,6 @@ from __future__ import annotations
 import atexit
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import chain
 from typing import Any
 
 import drjit as dr
@@ -76,10 +75,6 @@ class Splats:
         shape = self.x_precision, self.shear, self.y_precision
         return [self.x, self.y, *shape, self.opacity, self.red, self.green, self.blue]
 
-    def detached(self) -> Splats:
-        """The same numbers as arrays without derivatives."""
-        return Splats(*(dr.detach(v, preserve_type=False) for v in (*self.differentiable(), self.depth)))
-
 
 @dataclass
 class Footprints:
@@ -107,11 +102,6 @@ class Parameters:
     rotations: list[Any]  # four rows, quaternions (w, x, y, z)
     opacity_logits: Any  # one row
     sh: list[list[Any]]  # for each spherical harmonic its three channels
-
-    def leaves(self) -> list[Any]:
-        """All rows, in the order of the parameter tensors' memory."""
-        harmonics = chain.from_iterable(self.sh)
-        return [*self.means, *self.log_scales, *self.rotations, self.opacity_logits, *harmonics]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tenso
     means, log_scales = gaussians.means, gaussians.log_scales
     if not len(gaussians):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
-    rows = [dr.detach(row, preserve_type=False) for row in aligned_rows(arrays, [means, log_scales])]
+    rows = aligned_rows(arrays, [means, log_scales])
     longest = dr.exp(dr.maximum(dr.maximum(rows[3], rows[4]), rows[5]))
     index = arrays.plain.Int(dr.compress(may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER)))
     return arrays.to_torch(index, means.device).long()

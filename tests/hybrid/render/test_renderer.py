@@ -22,7 +22,6 @@ from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
-from splat.raster.differentiable import parameters_from
 from splat.raster.projection import project
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
@@ -30,6 +29,7 @@ from tests import small
 from tests.compose.arrays_of import host, numbers
 from tests.hybrid.forests import white_dot
 from tests.hybrid.render.passes import waits
+from tests.splat.raster.splats import parameters_from
 
 pytestmark = pytest.mark.usefixtures("backend")
 RAW = FrameSettings(fov_a=40, fov_b=20, spp=1, fovea="raw", acuity_model="none")

@@ -12,9 +12,9 @@ import torch
 from splat.lod.footprints import ForestFootprints
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
-from splat.raster.differentiable import parameters_from
 from splat.raster.projection import PIXEL_FILTER, footprints
 from tests.splat.lod.views import frame_camera, small_forest
+from tests.splat.raster.splats import parameters_from
 from tests.splat.samples import gaussians
 
 FIELDS = ("x", "y", "xx", "xy", "yy", "conditional", "opacity", "red", "green", "blue", "depth")

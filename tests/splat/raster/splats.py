@@ -8,11 +8,17 @@ import torch
 
 from splat.raster.binning import Bins, Candidates, TileBounds, boxed, depth_order
 from splat.raster.blending import gradients_from_sums, rasterize, sums_of_bins
-from splat.raster.projection import Splats
+from splat.raster.differentiable import aligned_rows, parameters_of
+from splat.raster.projection import Parameters, Splats
 from splat.raster.tiles import TileGrid
 from tests.splat.raster import reference
 
 NAMES = ("x", "y", "x_precision", "shear", "y_precision", "opacity", "red", "green", "blue", "depth")
+
+
+def parameters_from(arrays, gaussians) -> Parameters:
+    """The Gaussians' rows as kernels read them."""
+    return parameters_of(aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()]))
 
 
 def round_splats(arrays, rows: list[tuple[float, ...]]) -> Splats:

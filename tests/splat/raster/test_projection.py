@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from compose.camera.camera import Camera
-from splat.raster.differentiable import parameters_from
 from splat.raster.projection import NEAR, Splats, footprints, project, view_position
 from tests.splat.raster import reference
-from tests.splat.raster.splats import inverse_covariance
+from tests.splat.raster.splats import inverse_covariance, parameters_from
 from tests.splat.samples import KINDS, camera, gaussians, white_dot
 
 
@@ -62,7 +61,7 @@ def test_a_disc_on_a_wall_beside_the_viewer_is_outside_where_its_ellipsoid_is(ar
 def test_a_low_pass_may_differ_per_gaussian(arrays):
     g, cam = gaussians(n=2), camera()
     parameters = parameters_from(arrays, g)
-    both = project(parameters, cam, arrays.ad.Float([0.1, 30.0]))
+    both = project(parameters, cam, arrays.plain.Float([0.1, 30.0]))
     for k, low_pass in enumerate((0.1, 30.0)):
         alone = project(parameters, cam, low_pass)
         for name in ("xx", "xy", "yy", "opacity"):
