@@ -130,9 +130,8 @@ def composited(arrays: Arrays, mixture: Mixture, atlas: Any, frame: Any = None) 
         total = [v for p in range(_BLOCK**2) for v in (*total[3 * p : 3 * p + 3], Float(1))]
     for chunk in range(len(total) // 4):
         pixel = (block.y + chunk // channels) * mixture.width + block.x
-        part = arrays.plain.ArrayXf(total[4 * chunk : 4 * chunk + 4])
         target = pixel * channels // 4 + chunk % channels
-        dr.scatter(frame, part, target, known, mode=dr.ReduceMode.Permute)
+        arrays.put_packet(frame, total[4 * chunk : 4 * chunk + 4], target, known)
     dr.eval(frame)
     return frame
 

@@ -146,9 +146,9 @@ def blend(
     if len(images) > 1:
         within = [(block.y >= top) & (block.y < bottom) for top, bottom in pairwise(rows)]
     for target, first in block.chunks(width):
-        values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
+        values = [*pixels[first], *pixels[first + 1]]
         for image, own, row in zip(images, within, rows[:-1], strict=True):
-            dr.scatter(image, values, target - row * width // 2, own, mode=dr.ReduceMode.Permute)
+            arrays.put_packet(image, values, target - row * width // 2, own)
     dr.eval(images)
     return images
 

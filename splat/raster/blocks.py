@@ -96,8 +96,7 @@ class Blocks:
         """Red, green, blue of each pixel of the block, from a flat image of that width in pixels."""
         values: list[Any] = []
         for target, _ in self.chunks(width):
-            shape = (_CHUNK, dr.width(target))
-            two = dr.gather(self._arrays.plain.ArrayXf, image, target, shape=shape)
+            two = self._arrays.packet(image, _CHUNK, target)
             values += [two[k] for k in (0, 1, 2, CHANNELS, CHANNELS + 1, CHANNELS + 2)]
         return values
 
