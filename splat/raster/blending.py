@@ -185,7 +185,9 @@ def sums_of_bins(
     """
     if not bins.lists.pairs:
         return sums or no_sums(arrays, len(blended))
-    return _sums(arrays, WalkedLists.of(arrays, blended, bins), image, gradient, sums)
+    runs, alone = (bins.first, bins.count, bins.owner), not stays_together(arrays)
+    walked = WalkedLists(blended, bins.lists, bins.tiles, *runs, alone)
+    return _sums(arrays, walked, image, gradient, sums)
 
 
 @dataclass(frozen=True)
@@ -199,12 +201,6 @@ class WalkedLists:
     count: Any
     owner: Any
     alone: bool  # whether lanes go by themselves
-
-    @staticmethod
-    def of(arrays: Arrays, blended: Records, bins: Bins) -> WalkedLists:
-        """Those of the wanted tiles."""
-        runs = bins.first, bins.count, bins.owner
-        return WalkedLists(blended, bins.lists, bins.tiles, *runs, not stays_together(arrays))
 
 
 def sums_of_lists(
