@@ -38,22 +38,17 @@ _LONG_LIST = 256
 
 
 def rasterize(
-    arrays: Arrays,
-    blended: Records,
-    bins: Bins,
-    images: list[Any] | None = None,
-    heights: Sequence[int] | None = None,
+    arrays: Arrays, blended: Records, bins: Bins, split: ImageSplit, images: list[Any] | None = None
 ) -> list[Any]:
     """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
     Args:
         blended: the splats, as `Boxed` has them.
+        split: images of all rows of tiles, which lie one above the other.
         images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the
             top; new ones by default.
-        heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
     """
-    grid, size = bins.grid, bins.lists.pairs
-    split = ImageSplit.of(arrays, grid, heights or [grid.rows])
+    size = bins.lists.pairs
     if not size:
         return images or split.new(arrays, dr.zeros)
     jumping = jumps(arrays, size, int(np.count_nonzero(bins.wanted)))
