@@ -235,7 +235,7 @@ class _NodeTable:
             # What they show to a camera, as constant harmonics.
             added = self._directional.constant(index, self._records, camera)
         dr.eval(index, added)
-        view = camera_numbers(arrays.plain.Float, camera), self._coefficients, capacity(count)
+        view = camera_numbers(arrays, camera), self._coefficients, capacity(count)
         return _footprints(arrays, self._records, index, arrays.constant(count), added, *view)
 
 
@@ -295,7 +295,8 @@ class _DirectionalTable:
             coefficients = self._records.at(UInt(dr.gather(type(slot), slot, some))).sh
             sh = [coefficients[3 * k : 3 * k + 3] for k in range(self._coefficients)]
             means = nodes.at(dr.gather(UInt, UInt(index), some)).means
-            for target, value in zip(added, directional_constant(sh, means, camera), strict=True):
+            found = directional_constant(self._arrays, sh, means, camera)
+            for target, value in zip(added, found, strict=True):
                 dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
         return added
 

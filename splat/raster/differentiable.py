@@ -181,8 +181,7 @@ class _Render(torch.autograd.Function):
         rows = aligned_rows(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
         _wait_for_torch(tensors[0].device)
         grid = TileGrid(camera.width, camera.height)
-        plain = arrays.plain
-        view = camera_numbers(plain.Float, camera), constant(plain.Float, low_pass)
+        view = camera_numbers(arrays, camera), constant(arrays.plain.Float, low_pass)
         count = dr.width(rows[0])
         padded = PaddedRows(AnySize(rows), arrays.constant(count), capacity(count + 1))
         splats, found = _projected(arrays, padded, *view, everywhere(arrays, grid), grid.side)

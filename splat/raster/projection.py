@@ -17,9 +17,8 @@ from functools import lru_cache
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
-from compose.base.arrays import Arrays, uploaded
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC
 from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis, sh_sums
@@ -123,7 +122,7 @@ class CameraNumbers:
         return CameraNumbers(*wide, *([number(value) for value in values] for values in rest))
 
 
-def project(parameters: Parameters, camera: Camera | CameraNumbers, low_pass: Any) -> Splats:
+def project(parameters: Parameters, camera: CameraNumbers, low_pass: Any) -> Splats:
     """Projects Gaussians onto a camera's film and filters them, differentiably.
 
     The low-pass, a float or an array (N,), is the variance in px^2 that is added to each 2D covariance.
@@ -146,10 +145,10 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
     return Splats(raw.x, raw.y, x_precision, -raw.xy * y_precision, y_precision, opacity, *rest)
 
 
-def footprints(parameters: Parameters, camera: Camera | CameraNumbers) -> Footprints:
+def footprints(parameters: Parameters, camera: CameraNumbers) -> Footprints:
     """Projects Gaussians onto a camera's film, without a filter."""
     number: Any = type(parameters.opacity_logits)
-    view = (camera_numbers(number, camera) if isinstance(camera, Camera) else camera).like(number)
+    view = camera.like(number)
     rotation, (fx, fy), (cx, cy), (limit_x, limit_y) = view.rotation, view.focal, view.centre, view.limits
     from_eye = _from_eye(parameters.means, view.eye)
     vx, vy, vz = _in_camera(rotation, from_eye)
@@ -198,11 +197,10 @@ def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> t
     return xx, xy, yy, dr.maximum(conditional, _NARROWEST)
 
 
-def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
+def directional_constant(arrays: Arrays, sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
     """How a camera sees harmonics above the constant one, three channels each: as a constant one."""
-    number: Any = type(means[0])
-    eye = camera_numbers(number, camera).eye
-    basis = sh_basis(len(sh) + 1, _normalized([number(part) for part in _from_eye(means, eye)]))[1:]
+    from_eye = map(arrays.plain.Float, _from_eye(means, camera_numbers(arrays, camera).eye))
+    basis = sh_basis(len(sh) + 1, _normalized(list(from_eye)))[1:]
     return [channel / SH_DC for channel in sh_sums(sh, basis)]
 
 
@@ -211,7 +209,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
     """
-    view = camera_numbers(arrays.plain.Float, camera)
+    view = camera_numbers(arrays, camera)
     (fx, fy), (cx, cy), (limit_x, limit_y) = view.focal, view.centre, view.limits
     vx, vy, vz = _in_camera(view.rotation, _from_eye(means, view.eye))
     seen = vz > NEAR
@@ -229,30 +227,23 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """
     seen, x, y, spread = view_position(arrays, means, camera)
     reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)
-    half_width, half_height = camera_numbers(arrays.plain.Float, camera).half
+    half_width, half_height = camera_numbers(arrays, camera).half
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)
 
 
 @lru_cache(maxsize=4)
-def camera_numbers(number: Any, camera: Camera) -> CameraNumbers:
-    """Those of a camera, in types that go with a kind of Float.
-
-    Uploaded together, and kept, since a view has several layers.
-    """
-    half = [
-        max(camera.cx, camera.width - camera.cx) / camera.fx,
-        max(camera.cy, camera.height - camera.cy) / camera.fy,
-    ]
-    double, index = dr.float64_array_t(number), dr.uint32_array_t(number)
+def camera_numbers(arrays: Arrays, camera: Camera) -> CameraNumbers:
+    """Those of a camera, uploaded together, and kept, since a view has several layers."""
+    across = max(camera.cx, camera.width - camera.cx) / camera.fx
+    down = max(camera.cy, camera.height - camera.cy) / camera.fy
     values = [
         *(*camera.world_to_camera[:3, :3].flat, *camera.position),
         *(camera.fx, camera.fy, camera.cx, camera.cy),
-        *(_TANGENT_LIMIT * half[0], _TANGENT_LIMIT * half[1], camera.width / 2, camera.height / 2),
+        *(_TANGENT_LIMIT * across, _TANGENT_LIMIT * down, camera.width / 2, camera.height / 2),
     ]
-    table, first = uploaded(double, np.array(values)), dr.opaque(index, 0)
-    found = [dr.gather(double, table, first + k) for k in range(len(values))]
-    found[12:] = [number(value) for value in found[12:]]
+    found = arrays.scalars(arrays.plain.Float64, values)
+    found[12:] = [arrays.plain.Float(value) for value in found[12:]]
     dr.eval(found)
     return CameraNumbers(found[:9], found[9:12], found[12:14], found[14:16], found[16:18], found[18:])
 
