@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import atexit
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import drjit as dr
@@ -168,9 +168,8 @@ def footprints(parameters: Parameters, camera: CameraNumbers) -> Footprints:
     logits = dr.maximum(parameters.opacity_logits, -_LARGEST_EXPONENT)
     opacity = dr.select(seen, dr.rcp(1 + dr.exp(-logits)), 0)
 
-    red, green, blue = (
-        radiance_from_perceptual(value) for value in perceptual_radiance(parameters.sh, _normalized(from_eye))
-    )
+    colour = perceptual_radiance(parameters.sh, _normalized(from_eye))
+    red, green, blue = map(radiance_from_perceptual, colour)
     return Footprints(x, y, *covariance, opacity, red, green, blue, dr.detach(vz))
 
 
@@ -275,9 +274,7 @@ def _normalized(vector: list[Any]) -> list[Any]:
     """A vector of unit length, or of nearly none."""
     # Squares of very long and very short vectors leave float32's range, so they are scaled first. The result
     # does not depend on the scale, and needs no derivative by it.
-    longest = dr.detach(dr.abs(vector[0]))
-    for v in vector[1:]:
-        longest = dr.maximum(longest, dr.detach(dr.abs(v)))
+    longest = reduce(dr.maximum, (dr.detach(dr.abs(v)) for v in vector))
     scale = dr.rcp(dr.select(longest > _SHORTEST, longest, 1))
     scaled = [v * scale for v in vector]
     # A zero quaternion, or a Gaussian at the camera itself, has no direction but must not become NaN.
