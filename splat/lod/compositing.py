@@ -66,17 +66,10 @@ class Mixture:
         ]
         weights = np.stack([entry.image.weight for entry in entries])
         bits, cells = rows.size, covered.shape[1]
-        numbers = (
-            bits,
-            bits + len(words) * cells,
-            grid.columns,
-            cells,
-            weights[0].size,
-            stride,
-            grid.padded_width,
-        )
+        parts = bits, bits + len(words) * cells
+        sizes = grid.columns, cells, weights[0].size, stride, grid.padded_width
         records = records_before(arrays, _ENTRY, rows, np.stack(words).astype(np.uint32), weights)
-        return Mixture(cells, len(words), records, *map(arrays.constant, numbers))
+        return Mixture(cells, len(words), records, *map(arrays.constant, (*parts, *sizes)))
 
     def number(self, index: Any) -> Any:
         """The UInt at an index of the array."""
