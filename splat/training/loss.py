@@ -149,8 +149,7 @@ class FrameTarget:
 
         The second result is the absolute error per pixel (H, W), which has no gradient.
         """
-        loss, error = _Loss.apply(self, rendered)
-        return loss, error
+        return _Loss.apply(self, rendered)
 
     def loss_and_gradient(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Loss, error per pixel (H, W), and the derivative of the loss by the radiance (H, W, 3)."""
