@@ -105,11 +105,9 @@ class NodeMotion:
         steps, count = self.rotations.shape[:2] if self.rotations.ndim == 3 else (0, 0)
         expected = {"rotations": (steps, count, 4), "centres": (count, 3), "shifts": (steps, count, 3)}
         for name, shape in expected.items():
-            tensor = getattr(self, name)
-            if tuple(tensor.shape) != shape or tensor.dtype != torch.float64:
-                raise ValueError(
-                    f"{name} is {tensor.dtype} of {tuple(tensor.shape)}, expected float64 of {shape}"
-                )
+            kind, found = getattr(self, name).dtype, tuple(getattr(self, name).shape)
+            if found != shape or kind != torch.float64:
+                raise ValueError(f"{name} is {kind} of {found}, expected float64 of {shape}")
         if steps < 2:
             raise ValueError(f"{steps} poses; must be two or more")
         if self.pieces.ndim != 1 or self.pieces.dtype != torch.int64 or bool((self.pieces < 1).any()):
