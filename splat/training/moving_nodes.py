@@ -32,8 +32,7 @@ class Attachment:
         position, self._inside = view.camera.shows(self._means)
         self._column, self._row = np.where(self._inside[:, None], position, 0).astype(np.int64).T
         self._distance = np.linalg.norm(self._means - view.camera.position, axis=1)
-        extent = shown.longest.double().numpy()
-        self._off = extent + _OFF * self._distance
+        self._off = shown.longest.double().numpy() + _OFF * self._distance
         self._slope = _slope(view.distance)
 
     def on(self, labels: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -70,12 +69,11 @@ class Attachment:
 def _slope(distance: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W) by how much distances change from a pixel to the next row and column, on the flatter sides."""
     total = np.zeros_like(distance)
+    beyond = np.float32(np.nan)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
-            step = np.abs(np.diff(distance, axis=axis))
-        step = np.where(np.isfinite(step), step, np.inf)
-        beyond = np.full_like(np.take(distance, [0], axis), np.inf)
-        before, after = (np.concatenate(part, axis) for part in ([beyond, step], [step, beyond]))
+            steps = np.diff(distance, axis=axis, prepend=beyond), np.diff(distance, axis=axis, append=beyond)
+        before, after = (np.where(np.isfinite(step), np.abs(step), np.inf) for step in steps)
         total += np.minimum(before, after)
     return np.where(np.isfinite(total), total, 0).astype(np.float32)
 
