@@ -17,7 +17,6 @@ from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics
 from splat.raster.differentiable import render_differentiable
-from splat.raster.projection import PIXEL_FILTER
 from splat.raster.visibility import visible
 from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_log_scales, too_large
 from splat.training.depth_estimates import measured
@@ -155,7 +154,7 @@ class LayerTraining:
             chosen = self._motion.shown(rest, semantic[shown], time)
         if self._light is not None:
             chosen = self._light.lit(rest, chosen, shown, camera, time)
-        image = render_differentiable(self._arrays, chosen, camera, PIXEL_FILTER)
+        image = render_differentiable(self._arrays, chosen, camera)
         loss, error = self._targets[index].loss(image)
         self.stepped = self._optimizer.step(loss, self.done / self._steps)
         if self.stepped:
