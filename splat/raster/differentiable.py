@@ -24,7 +24,6 @@ from splat.model.points import from_world
 from splat.raster.binning import Boxed, Candidates, TileBounds, boxed, everywhere
 from splat.raster.blending import gradients_from_sums
 from splat.raster.blocks import CHANNELS
-from splat.raster.harmonics import sh_basis
 from splat.raster.parts import Parts, rasterize_parts, sums_of_parts
 from splat.raster.projection import (
     NEAR,
@@ -34,6 +33,7 @@ from splat.raster.projection import (
     Splats,
     camera_numbers,
     project,
+    sh_basis,
 )
 from splat.raster.tiles import TileGrid
 

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, concatenated
 from splat.raster.differentiable import render_differentiable
-from splat.raster.harmonics import LARGEST_RADIANCE
-from splat.raster.projection import camera_numbers, project
+from splat.raster.projection import LARGEST_RADIANCE, camera_numbers, project
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme
 from tests.splat.raster import reference
