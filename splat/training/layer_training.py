@@ -16,8 +16,7 @@ from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics
-from splat.raster.differentiable import render_differentiable
-from splat.raster.visibility import visible
+from splat.raster.differentiable import render_differentiable, visible
 from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_log_scales, too_large
 from splat.training.depth_estimates import measured
 from splat.training.gaussian_optimizer import HOST, GaussianOptimizer

@@ -14,7 +14,7 @@ from compose.base.arrays import Arrays
 from splat.model.gaussians import Gaussians, written
 from splat.model.layer import BACKGROUND, Layer
 from splat.model.motion import Dynamics
-from splat.raster.visibility import contributions
+from splat.raster.differentiable import contributions
 from splat.training.training_view import TrainingView
 
 # Part of the distance, beside its own size, by which a node may be off a surface.

@@ -17,8 +17,7 @@ from scipy.spatial import cKDTree
 from compose.base.arrays import Arrays
 from compose.camera.camera import View
 from splat.model.gaussians import SH_DC, Gaussians, apart
-from splat.raster.differentiable import directional_radiance
-from splat.raster.visibility import contributions
+from splat.raster.differentiable import contributions, directional_radiance
 
 # Standard deviation over views, on the perceptual scale, that a Gaussian's radiance must have: one step of an
 # 8-bit display. Blended with others that do not vary with it, less of that is left in a pixel.
