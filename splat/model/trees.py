@@ -48,19 +48,13 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     # Eigenvalues are exact to a share of the largest one only, and rounding can make the others negative.
     log_scales = 0.5 * np.log(np.maximum(variance, _FLATTEST**2 * variance[:, -1:]))
-    log_opacity = np.minimum(
-        np.logaddexp(weight_a, weight_b) - _log_surface(log_scales), np.log(_MAXIMUM_OPACITY)
-    )
+    log_opacity = np.logaddexp(weight_a, weight_b) - _log_surface(log_scales)
+    log_opacity = np.minimum(log_opacity, np.log(_MAXIMUM_OPACITY))
     quaternion = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]] if len(axes) else np.zeros((0, 4))
     to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
-    part = to_torch(share)
-    merged = Gaussians(
-        to_torch(mean.T),
-        to_torch(log_scales.T),
-        to_torch(quaternion.T),
-        to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
-        part * a.all_turning().sh + (1 - part) * b.all_turning().sh,
-    )
+    logits, part = log_opacity - np.log1p(-np.exp(log_opacity)), to_torch(share)
+    sh = part * a.all_turning().sh + (1 - part) * b.all_turning().sh
+    merged = Gaussians(*[*map(to_torch, (mean.T, log_scales.T, quaternion.T, logits)), sh])
     if a.directional is None and b.directional is None:
         return merged
     return merged.turning(a.turns | b.turns)
