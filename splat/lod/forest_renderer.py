@@ -269,9 +269,8 @@ def images_of_pairs(
 def _mixed(arrays: Arrays, images: list[Any], mixture: Mixture, over: bool) -> list[Any]:
     """The images without the last one, which is composited into the first one, or into one before all."""
     *others, atlas = images
-    if over:
-        return [composited(arrays, mixture, atlas, others[0]), *others[1:]]
-    return [composited(arrays, mixture, atlas), *others]
+    frame = others.pop(0) if over else None
+    return [composited(arrays, mixture, atlas, frame), *others]
 
 
 _chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)
