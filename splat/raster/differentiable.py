@@ -275,7 +275,8 @@ def gradients_of_rows(
     """
     size, leaves = padded.size, [arrays.ad.Float(row) for row in padded.on(arrays)]
     dr.enable_grad(leaves)
-    outputs = project(parameters_of(leaves), view, low_pass).differentiable()
+    # The rasterizer has gradients for all but the depths, which come last.
+    *outputs, _ = vars(project(parameters_of(leaves), view, low_pass)).values()
     for value, by_value in zip(outputs, gradients_from_sums(splats, sums), strict=True):
         dr.accum_grad(value, by_value)
     dr.enqueue(dr.ADMode.Backward, outputs)

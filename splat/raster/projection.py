@@ -73,11 +73,6 @@ class Splats:
     blue: Any
     depth: Any  # along the view axis; only its order matters
 
-    def differentiable(self) -> list[Any]:
-        """All parameters that the rasterizer has gradients for, in the order of declaration."""
-        shape = self.x_precision, self.shear, self.y_precision
-        return [self.x, self.y, *shape, self.opacity, self.red, self.green, self.blue]
-
 
 @dataclass
 class Footprints:
