@@ -91,20 +91,18 @@ class HitTree:
 
     def _rank(self) -> None:
         """How much a cell must be worth to be divided, and what dividing all that are worth more brings."""
-        worth = [
-            np.where(level.size > _LARGEST, _FIRST * level.size, level.spread) for level in self._levels[:-1]
-        ]
-        for level, cells in zip(self._levels, worth, strict=False):
-            cells[level.count < _FEWEST] = 0
-        for number in range(1, len(worth)):
+        self._worth: list[Floats] = []
+        for level in self._levels[:-1]:
+            worth = np.where(level.size > _LARGEST, _FIRST * level.size, level.spread)
+            worth[level.count < _FEWEST] = 0
             # A cell is there only if those around it are divided.
-            worth[number] = np.minimum(worth[number], worth[number - 1][self._levels[number].parent])
-        self._worth = worth
+            above = self._worth[-1] if self._worth else worth
+            self._worth.append(np.minimum(worth, above[level.parent]))
         more, less = [], []
-        for above, below in zip(self._levels, self._levels[1:], strict=False):
-            more.append(np.bincount(below.parent, minlength=len(above.first)) - 1)
-            less.append(above.spread - np.bincount(below.parent, below.spread, len(above.first)))
-        flat = np.concatenate(worth)
+        for level, below in zip(self._levels, self._levels[1:], strict=False):
+            more.append(np.bincount(below.parent, minlength=len(level.first)) - 1)
+            less.append(level.spread - np.bincount(below.parent, below.spread, len(level.first)))
+        flat = np.concatenate(self._worth)
         order = np.argsort(-flat, kind="stable")
         self._ranked = flat[order]
         roots = self._levels[0]
