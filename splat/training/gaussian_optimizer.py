@@ -44,9 +44,8 @@ class Adam:
         self.second_moments.scatter_(1, everywhere, second)
         deviation = second.sqrt_().mul_(_share_seen(_SECOND_DECAY, steps).rsqrt_()).add_(_LEAST)
         move = first.mul_(rates / _share_seen(_FIRST_DECAY, steps))
-        self.values.scatter_(
-            1, everywhere, self.values.index_select(1, index).addcdiv_(move, deviation, value=-1)
-        )
+        moved = self.values.index_select(1, index).addcdiv_(move, deviation, value=-1)
+        self.values.scatter_(1, everywhere, moved)
 
     def remember(self, former: Adam, now: torch.Tensor, before: torch.Tensor) -> None:
         """Columns at an index (M,) go on with the moments of those that were at another one (M,)."""
