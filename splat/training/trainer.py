@@ -151,13 +151,11 @@ class Trainer:
         focal = finest_focal(views) / _ABOUT_AS_FINE
         self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
         self._alone = _ALONE if start is None else _ALONE_AGAIN
-        steps = self._scheduled()
-        images = [at_resolution(views, settings.layers - 1 - index) for index in range(settings.layers)]
         further = self.motion, self.light, settings.all_harmonics
-        self._layers = [
-            LayerTraining(arrays, images[index], count, [settings.seed, index], *further)
-            for index, count in enumerate(steps)
-        ]
+        self._layers: list[LayerTraining] = []
+        for index, steps in enumerate(self._scheduled()):
+            images = at_resolution(views, settings.layers - 1 - index)
+            self._layers.append(LayerTraining(arrays, images, steps, [settings.seed, index], *further))
         self.iteration = 0
         rng = np.random.default_rng([settings.seed, 0])
         if start is None:
