@@ -179,8 +179,7 @@ class Candidates:
         """The candidates of runs with the indices that sort them, and the first one of each run."""
         arrays, tiles = self._arrays, self.grid.columns * self.grid.rows
         grid, size = self.grid.numbers(arrays), capacity(runs.pairs)
-        given = grid, runs.of, self._mask, arrays.constant(runs.pairs), size
-        key, splat, first = _keys(arrays, *given)
+        key, splat, first = _keys(arrays, grid, runs.of, self._mask, arrays.constant(runs.pairs), size)
         # Not in a recording: on a card, Dr.Jit 1.5 ends the process when it replays a sort.
         sorting = arrays.argsort(key, tiles + 1)
         return SortedPairs(grid, tiles, size, key, splat, sorting), first
