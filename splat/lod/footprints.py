@@ -199,9 +199,8 @@ class _LayerBounds:
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves some nodes of the layer, by their indices (M,) in the forest, to where Gaussians (M) are."""
         index = self._arrays.plain.UInt((nodes - self._first).numpy())
-        rows = [*self.means, self.size]
         moved = [*gaussians.means, gaussians.longest]
-        for row, values in zip(rows, moved, strict=True):
+        for row, values in zip([*self.means, self.size], moved, strict=True):
             dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
 
 
