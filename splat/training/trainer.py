@@ -213,7 +213,11 @@ class Trainer:
         """Trains the scheduled layer by one step, and keeps the trees up with it."""
         index = int(self._schedule[self.iteration])
         if index < len(self._layers) - 1 and not self._layers[index].begun:
-            self._build()
+            # Over the finest layer as it is now; the training of the others begins.
+            *others, finest = self.forest()
+            self._layers[-1].extend(finest)
+            for training, layer in zip(self._layers[:-1], others, strict=True):
+                training.begin(layer, len(layer))
         if self.iteration == self._settling:
             for number, training in enumerate(self._layers):
                 if training.begun:
@@ -237,13 +241,6 @@ class Trainer:
             known = parent != NO_PARENT
             parent[known] = moved[parent[known].long()]
             below.extend(replace(below.layer, parent=parent))
-
-    def _build(self) -> None:
-        """Builds the forest over the finest layer as it is now, and begins training the others."""
-        forest = build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
-        self._layers[-1].extend(forest[-1])
-        for training, layer in zip(self._layers[:-1], forest[:-1], strict=True):
-            training.begin(layer, len(layer))
 
     def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Everything that the next step depends on: tensors, and numbers."""
