@@ -136,19 +136,16 @@ class GaussianOptimizer:
         turning = _gradient(self._leaves.directional.sh)
         if not _are_finite(loss.detach(), gradient, turning):
             return False
-        rates = self._rates(progress).repeat(1, len(self._chosen))
+        # One of each row that all Gaussians have.
+        means = tuple(self._pixel * rate for rate in _MEANS)
+        rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
+        rates = self._between(rows, progress).repeat(1, len(self._chosen))
         # The unit is the size of a pixel at the median distance; far away a pixel is larger.
         # Lengths of vectors whose numbers lie side by side take a tenth of the time.
         rates[:3] *= remoteness(self._leaves.means.detach().T.contiguous().T)
         self._all.step(self._chosen, gradient, rates)
         self._turning.step(self._chosen_turning, turning, self._between([_DIRECTIONAL], progress))
         return True
-
-    def _rates(self, progress: float) -> torch.Tensor:
-        """(R, 1) learning rate of each row that all Gaussians have."""
-        means = tuple(self._pixel * rate for rate in _MEANS)
-        rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
-        return self._between(rows, progress)
 
     def _between(self, rows: list[tuple[float, ...]], progress: float) -> torch.Tensor:
         """(R, 1) learning rates between those at the start and at the end, on a logarithmic scale."""
