@@ -23,7 +23,7 @@ from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_
 from splat.training.depth_estimates import measured
 from splat.training.gaussian_optimizer import HOST, GaussianOptimizer
 from splat.training.loss import FrameTarget
-from splat.training.moving_nodes import Evidence, evidence_of, separated
+from splat.training.moving_nodes import LEAST_PIXELS, Evidence, evidence_of, separated
 from splat.training.training_view import TrainingView, pixel_footprint
 
 # Of an average view's share, what every view gets whatever its error, which others may make larger meanwhile.
@@ -194,7 +194,7 @@ class LayerTraining:
         if not self._separates:
             return None
         evidence = self._separate(self.views)
-        kept = torch.nonzero(evidence.is_seen | ~self._tree.dynamic)[:, 0]
+        kept = torch.nonzero((evidence.seen >= LEAST_PIXELS) | ~self._tree.dynamic)[:, 0]
         if len(kept) in (0, len(self._tree)):
             return None
         now = self._continue_with(kept, [])

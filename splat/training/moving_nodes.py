@@ -80,8 +80,8 @@ def _slope(distance: NDArray[np.float32]) -> NDArray[np.float32]:
 
 # Share of what a node contributes that must be to moving pixels for it to be dynamic, as in the paper.
 _DYNAMIC = 0.5
-# Pixels that a node must contribute in all for its labels to be changed.
-_LEAST_PIXELS = 0.5
+# Pixels that a node must contribute in all for its labels to be changed; with less, no view shows it at all.
+LEAST_PIXELS = 0.5
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,6 @@ class Evidence:
     times: torch.Tensor
     seen: torch.Tensor  # (N,) pixels in all, whatever surface they are on
     offsets: torch.Tensor  # (N, 3) mean ways to the surfaces of the background that views see there
-
-    @property
-    def is_seen(self) -> torch.Tensor:
-        """(N,) whether views show nodes at all."""
-        return self.seen >= _LEAST_PIXELS
 
 
 def evidence_of(
@@ -144,7 +139,7 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
     """
     # Pixels of what nodes are on the surface of.
     total = evidence.sums.sum(dim=1)
-    known = total >= _LEAST_PIXELS
+    known = total >= LEAST_PIXELS
     moves = evidence.sums[:, 1:].sum(dim=1) / total.clamp(min=1e-12) > _DYNAMIC
     best = evidence.sums[:, 1:].argmax(dim=1).int()
     semantic = torch.where(moves, best, BACKGROUND).int()
