@@ -112,8 +112,8 @@ class ForestFootprints:
         ]
         self._key: tuple[bytes, float] | None = None
         self._layers: dict[int, tuple[Records, Any, int] | None] = {}
-        # The records of all cached layers, and where each layer lies among them.
-        self._records: Records | None = None
+        # The records of all cached layers, as they were asked for last, and where each layer lies among them.
+        self.records: Records | None = None
         self._ranges: dict[int, range] = {}
 
     def set_time(self, time: float) -> None:
@@ -150,17 +150,11 @@ class ForestFootprints:
                 self._change(n, own)
                 self._layers[n] = self._visible(own, n, self._key[1])
             parts = [part for part in self._layers.values() if part is not None]
-            self._records = concatenated_records(parts) if parts else None
+            self.records = concatenated_records(parts) if parts else None
             counts = (0 if part is None else part[2] for part in self._layers.values())
             ranges = starmap(range, pairwise(accumulate(counts, initial=0)))
             self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
-
-    @property
-    def records(self) -> Records:
-        """All of them, as the layers that were asked for last have them."""
-        assert self._records is not None
-        return self._records
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> tuple[Records, Any, int] | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates.
