@@ -12,16 +12,7 @@ from scipy.special import expit
 
 from splat.model.gaussians import Gaussians, written
 from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers, without_parents
-from splat.model.points import (
-    Floats,
-    Ints,
-    Neighbours,
-    means_of,
-    quaternions_xyzw,
-    remoteness,
-    rows_of,
-    z_curve_order,
-)
+from splat.model.points import Floats, Ints, Neighbours, quaternions_xyzw, remoteness, rows_of, z_curve_order
 
 _MAXIMUM_OPACITY = 0.99
 # Least ratio of the shortest axis of a merged Gaussian to its longest.
@@ -96,10 +87,10 @@ def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[
     for code in np.unique(codes_below[parent < 0]):
         children = np.flatnonzero((parent < 0) & (codes_below == code))
         candidates = np.flatnonzero(codes_above == code)
-        centres = means_of(below.gaussians)[children]
+        centres = rows_of(below.gaussians.means)[children]
         order = z_curve_order(centres)
         children, centres = children[order], centres[order]
-        search = _ParentSearch(centres, means_of(above.gaussians)[candidates], room[candidates], tries)
+        search = _ParentSearch(centres, rows_of(above.gaussians.means)[candidates], room[candidates], tries)
         found = search.run()
         old = found < len(candidates)
         parent[children[old]] = candidates[found[old]]
@@ -257,7 +248,7 @@ def _kept_parents(below: Layer, above: Layer) -> Ints:
     parent = below.parent.numpy().astype(np.int64)
     known = np.flatnonzero((parent >= 0) & (parent < len(above)))
     of = parent[known]
-    offset = means_of(below.gaussians)[known] - means_of(above.gaussians)[of]
+    offset = rows_of(below.gaussians.means)[known] - rows_of(above.gaussians.means)[of]
     turn = Rotation.from_quat(quaternions_xyzw(above.gaussians)[of])
     local = turn.inv().apply(offset) if len(known) else offset
     inside = (local / np.exp(rows_of(above.gaussians.log_scales))[of]) ** 2
@@ -289,7 +280,7 @@ def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Int
     count = np.bincount(parent, minlength=len(above))
     codes_below, codes_above = label_codes(below), label_codes(above)
     childless = np.flatnonzero(count == 0)
-    near = Neighbours(means_of(below.gaussians), means_of(above.gaussians)[childless], NEIGHBOURS)
+    near = Neighbours(rows_of(below.gaussians.means), rows_of(above.gaussians.means)[childless], NEIGHBOURS)
     without = []
     for node, candidates in zip(childless, near.index, strict=True):
         for child in candidates:

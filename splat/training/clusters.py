@@ -17,7 +17,7 @@ from compose.camera.coordinate_systems import TYPICAL_DISTANCE
 from splat.model.gaussians import SH_DC
 from splat.model.layer import Layer
 from splat.model.motion import turned
-from splat.model.points import Floats, Ints, drawn_in, means_of, rows_of, z_curve_keys
+from splat.model.points import Floats, Ints, drawn_in, rows_of, z_curve_keys
 from splat.model.trees import label_codes
 
 # Halvings of the cube around everything: a cell of the last ones is a fraction of a pixel in most frames.
@@ -61,13 +61,13 @@ class HitTree:
     def __init__(self, hits: Layer):
         if not len(hits):
             raise ValueError("an octree needs at least one hit")
-        keys = z_curve_keys(drawn_in(means_of(hits.gaussians), np.zeros(3), _FAR), _DEPTH)
+        keys = z_curve_keys(drawn_in(rows_of(hits.gaussians.means), np.zeros(3), _FAR), _DEPTH)
         keys |= _kind(hits).astype(np.uint64) << np.uint64(3 * _DEPTH)
         order = np.argsort(keys, kind="stable")
         self._keys, self._hits = keys[order], hits.select(torch.from_numpy(order))
         self._colour = 0.5 + SH_DC * rows_of(self._hits.gaussians.sh[0])
         self._shown = np.minimum(self._colour, _BRIGHTEST)
-        self._means = means_of(self._hits.gaussians)
+        self._means = rows_of(self._hits.gaussians.means)
         self._pixel = np.exp(self._hits.gaussians.log_scales[0].double().numpy())
         self._levels = self._grown()
         self._rank()
