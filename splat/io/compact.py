@@ -283,7 +283,12 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
         KeyError: a tensor is missing.
         ValueError: one has the wrong type or shape, or codes that do not exist.
     """
-    codes = {name: _codes(tensors, name, *kind) for name, kind in _KINDS.items()}
+    codes: dict[str, Codes] = {}
+    for name, (dtype, axes) in _KINDS.items():
+        one = tensors[name]
+        if one.dtype != dtype or one.ndim != axes:
+            raise ValueError(f"{name} is {one.dtype} with {one.ndim} axes, expected {dtype} with {axes}")
+        codes[name] = one.numpy()
     boxes = Boxes(**{field.name: codes[_BOXES + field.name] for field in fields(Boxes)})
     exact = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
     directional = exact(harmonics_of_codes(codes["sh.directional"]).transpose(1, 2, 0))
@@ -313,11 +318,3 @@ _KINDS: dict[str, tuple[torch.dtype, int]] = {
     "semantic": (torch.int32, 1),
     "dynamic": (torch.bool, 1),
 }
-
-
-def _codes(tensors: dict[str, torch.Tensor], name: str, dtype: torch.dtype, axes: int) -> Codes:
-    """A tensor of codes; a ValueError if it is none."""
-    tensor = tensors[name]
-    if tensor.dtype != dtype or tensor.ndim != axes:
-        raise ValueError(f"{name} is {tensor.dtype} with {tensor.ndim} axes, expected {dtype} with {axes}")
-    return tensor.numpy()

@@ -66,17 +66,10 @@ class Mixture:
         ]
         weights = np.stack([entry.image.weight for entry in entries])
         bits, cells = rows.size, covered.shape[1]
-        numbers = (
-            bits,
-            bits + len(words) * cells,
-            grid.columns,
-            cells,
-            weights[0].size,
-            stride,
-            grid.padded_width,
-        )
+        parts = bits, bits + len(words) * cells
+        sizes = grid.columns, cells, weights[0].size, stride, grid.padded_width
         records = records_before(arrays, _ENTRY, rows, np.stack(words).astype(np.uint32), weights)
-        return Mixture(cells, len(words), records, *map(arrays.constant, numbers))
+        return Mixture(cells, len(words), records, *map(arrays.constant, (*parts, *sizes)))
 
     def number(self, index: Any) -> Any:
         """The UInt at an index of the array."""
@@ -130,9 +123,8 @@ def composited(arrays: Arrays, mixture: Mixture, atlas: Any, frame: Any = None) 
         total = [v for p in range(_BLOCK**2) for v in (*total[3 * p : 3 * p + 3], Float(1))]
     for chunk in range(len(total) // 4):
         pixel = (block.y + chunk // channels) * mixture.width + block.x
-        part = arrays.plain.ArrayXf(total[4 * chunk : 4 * chunk + 4])
         target = pixel * channels // 4 + chunk % channels
-        dr.scatter(frame, part, target, known, mode=dr.ReduceMode.Permute)
+        arrays.put_packet(frame, total[4 * chunk : 4 * chunk + 4], target, known)
     dr.eval(frame)
     return frame
 

@@ -112,8 +112,8 @@ class ForestFootprints:
         ]
         self._key: tuple[bytes, float] | None = None
         self._layers: dict[int, tuple[Records, Any, int] | None] = {}
-        # The records of all cached layers, and where each layer lies among them.
-        self._records: Records | None = None
+        # The records of all cached layers, as they were asked for last, and where each layer lies among them.
+        self.records: Records | None = None
         self._ranges: dict[int, range] = {}
 
     def set_time(self, time: float) -> None:
@@ -150,17 +150,11 @@ class ForestFootprints:
                 self._change(n, own)
                 self._layers[n] = self._visible(own, n, self._key[1])
             parts = [part for part in self._layers.values() if part is not None]
-            self._records = concatenated_records(parts) if parts else None
+            self.records = concatenated_records(parts) if parts else None
             counts = (0 if part is None else part[2] for part in self._layers.values())
             ranges = starmap(range, pairwise(accumulate(counts, initial=0)))
             self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
-
-    @property
-    def records(self) -> Records:
-        """All of them, as the layers that were asked for last have them."""
-        assert self._records is not None
-        return self._records
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> tuple[Records, Any, int] | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates.
@@ -199,9 +193,8 @@ class _LayerBounds:
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves some nodes of the layer, by their indices (M,) in the forest, to where Gaussians (M) are."""
         index = self._arrays.plain.UInt((nodes - self._first).numpy())
-        rows = [*self.means, self.size]
         moved = [*gaussians.means, gaussians.longest]
-        for row, values in zip(rows, moved, strict=True):
+        for row, values in zip([*self.means, self.size], moved, strict=True):
             dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
 
 
@@ -235,7 +228,7 @@ class _NodeTable:
             # What they show to a camera, as constant harmonics.
             added = self._directional.constant(index, self._records, camera)
         dr.eval(index, added)
-        view = camera_numbers(arrays.plain.Float, camera), self._coefficients, capacity(count)
+        view = camera_numbers(arrays, camera), self._coefficients, capacity(count)
         return _footprints(arrays, self._records, index, arrays.constant(count), added, *view)
 
 
@@ -295,7 +288,8 @@ class _DirectionalTable:
             coefficients = self._records.at(UInt(dr.gather(type(slot), slot, some))).sh
             sh = [coefficients[3 * k : 3 * k + 3] for k in range(self._coefficients)]
             means = nodes.at(dr.gather(UInt, UInt(index), some)).means
-            for target, value in zip(added, directional_constant(sh, means, camera), strict=True):
+            found = directional_constant(self._arrays, sh, means, camera)
+            for target, value in zip(added, found, strict=True):
                 dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
         return added
 

@@ -44,7 +44,7 @@ from splat.raster.binning import Candidates, SortedPairs, TileBounds, boxed, lis
 from splat.raster.blending import ImageSplit, blend, jumps
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import PAIRS_AT_ONCE, Parts, rasterize_parts
-from splat.raster.projection import PIXEL_FILTER, Footprints, Splats, filtered
+from splat.raster.projection import PIXEL_FILTER, Footprints, filtered
 from splat.raster.records import Records
 from splat.raster.tiles import TILE, TileGrid
 
@@ -230,7 +230,11 @@ def splats_of_candidates(
     splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
     splats.opacity = dr.select(known, splats.opacity, 0)
     bounds = TileBounds(entry.columns * split, entry.top * split, entry.bottom * split)
-    result = boxed(arrays, _in_samples(splats, entry.scale, entry.offset), bounds, TILE // split)
+    # From pixels of the frame to samples of the atlas.
+    square = dr.rcp(dr.square(entry.scale))
+    splats.x, splats.y = splats.x * entry.scale, dr.fma(splats.y, entry.scale, entry.offset)
+    splats.x_precision, splats.y_precision = splats.x_precision * square, splats.y_precision * square
+    result = boxed(arrays, splats, bounds, TILE // split)
     return result, *run_lengths(arrays, result.count, None)
 
 
@@ -265,9 +269,8 @@ def images_of_pairs(
 def _mixed(arrays: Arrays, images: list[Any], mixture: Mixture, over: bool) -> list[Any]:
     """The images without the last one, which is composited into the first one, or into one before all."""
     *others, atlas = images
-    if over:
-        return [composited(arrays, mixture, atlas, others[0]), *others[1:]]
-    return [composited(arrays, mixture, atlas), *others]
+    frame = others.pop(0) if over else None
+    return [composited(arrays, mixture, atlas, frame), *others]
 
 
 _chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)
@@ -277,13 +280,6 @@ _images = Frozen(images_of_pairs, by_size=True)
 def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:
     """Highest frequency that a layer was trained to show, in cycles per pixel of a camera."""
     return 0.5 * forest.focal_of(layer) / camera.fy
-
-
-def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
-    """Splats in pixels of the frame as splats in samples of the atlas."""
-    square, y = dr.rcp(dr.square(scale)), dr.fma(splats.y, scale, offset)
-    precisions = {"x_precision": splats.x_precision * square, "y_precision": splats.y_precision * square}
-    return replace(splats, x=splats.x * scale, y=y, **precisions)
 
 
 def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerImage | None, Mask]:

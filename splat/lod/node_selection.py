@@ -36,12 +36,12 @@ class EntryTable:
 
     arrays: Arrays
     records: Records  # of the entries, and behind them their counts of cells and the cut-offs
+    capacity: int  # of lanes, for the candidates
     entries: int
     rows: Any  # UInts of width 1: rows, columns of the corners of cells
     columns: Any
     candidates: Any  # UInt of width 1: how many there are
     zero: Any  # UInt of width 1: Dr.Jit copies what is read at a literal index to an array of its own
-    capacity: int  # of lanes, for the candidates
 
     @staticmethod
     def of_entries(
@@ -87,9 +87,8 @@ class EntryTable:
             bottom=[entry.tile_rows.stop for entry in entries],
         )
         records = records_before(arrays, _ENTRY, rows, counts, *lattices)
-        corners = [arrays.constant(side) for side in cutoff.shape]
-        known = arrays.constant(candidates), arrays.constant(0), capacity(candidates)
-        return EntryTable(arrays, records, len(entries), corners[0], corners[1], *known)
+        numbers = map(arrays.constant, (*cutoff.shape, candidates, 0))
+        return EntryTable(arrays, records, capacity(candidates), len(entries), *numbers)
 
     def of(self, candidate: Any) -> tuple[SimpleNamespace, Any]:
         """The entries that candidates (M,) belong to, and their numbers among all footprints."""

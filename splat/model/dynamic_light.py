@@ -171,9 +171,7 @@ class SurfaceLight:
 
     def _neighbours(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """(P, K) distances and indices of the K nearest points of each one, itself first; K <= `count`."""
-        found = self._tree.query(self._tree.data, k=min(count, len(self)))
-        away, near = (part.reshape(len(self), -1) for part in found)
-        return away, near
+        return self._tree.query(self._tree.data, k=np.arange(1, min(count, len(self)) + 1))
 
     @cached_property
     def _around(self) -> tuple[NDArray[np.float64], torch.Tensor]:

@@ -20,7 +20,7 @@ from splat.model.dynamic_light import LightCourse, SurfaceLight
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
 from splat.model.motion import Dynamics
-from splat.model.points import means_of, z_curve_order
+from splat.model.points import rows_of, z_curve_order
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def forest_of(
     arranged: list[Layer] = []
     position: NDArray[np.int64] | None = None
     for layer in layers:
-        order = z_curve_order(means_of(layer.gaussians))
+        order = z_curve_order(rows_of(layer.gaussians.means))
         moved = layer.select(torch.from_numpy(order))
         if position is not None:
             moved = moved.under(position[moved.parent.numpy()])

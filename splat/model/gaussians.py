@@ -93,11 +93,9 @@ class Gaussians:
         for name, shape in expected.items():
             if tuple(getattr(self, name).shape) != shape:
                 raise ValueError(f"{name} has shape {tuple(getattr(self, name).shape)}, expected {shape}")
-        k = self.sh.shape[0]
-        if tuple(self.sh.shape) != (k, 3, n) or k not in [sh_count(d) for d in range(MAX_DEGREE + 1)]:
-            raise ValueError(
-                f"sh has shape {tuple(self.sh.shape)}, expected (K, 3, {n}) with K in 1, 4, 9, 16"
-            )
+        k, found = self.sh.shape[0], tuple(self.sh.shape)
+        if found != (k, 3, n) or k not in [sh_count(d) for d in range(MAX_DEGREE + 1)]:
+            raise ValueError(f"sh has shape {found}, expected (K, 3, {n}) with K in 1, 4, 9, 16")
         if self.directional is not None:
             _check_directional(self.directional, k, n)
 

@@ -139,9 +139,7 @@ class HexPlane(torch.nn.Module):
 def _plane(a: int, b: int, cells: tuple[int, ...]) -> torch.nn.Parameter:
     """(1, F, cells of b, cells of a) features: those over time are 1 at first, as if nothing moved."""
     shape = 1, _FEATURES, cells[b], cells[a]
-    if b == 3:
-        return torch.nn.Parameter(torch.ones(shape))
-    return torch.nn.Parameter(torch.rand(shape) * 0.4 + 0.1)
+    return torch.nn.Parameter(torch.ones(shape) if b == 3 else torch.rand(shape) * 0.4 + 0.1)
 
 
 def _sampled(plane: Tensor, a: Tensor, b: Tensor) -> Tensor:

@@ -10,36 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
 
 import torch
 
 from compose.camera.camera import between_steps
 from compose.camera.coordinate_systems import Place
 from splat.model.gaussians import Gaussians
-
-
-class Dynamics(Protocol):
-    """Where nodes that belong to instances are at a time."""
-
-    def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """Gaussians as they are at a time from 0 to 1; torch can differentiate them by those at rest.
-
-        Those of an instance (N,) below 0 stay where they are.
-        """
-
-    def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """`shown` of some Gaussians as a function of time: what all times share is found once."""
-
-    def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """The way back: at rest, Gaussians that are shown at a time; same arguments as `shown`."""
-
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """All numbers, by name."""
-
-    def __len__(self) -> int:
-        """Number of instances."""
-
+from splat.model.learned_motion import LearnedMotion
 
 # Pieces that a node follows, at most.
 _FOLLOWED = 4
@@ -105,11 +82,9 @@ class NodeMotion:
         steps, count = self.rotations.shape[:2] if self.rotations.ndim == 3 else (0, 0)
         expected = {"rotations": (steps, count, 4), "centres": (count, 3), "shifts": (steps, count, 3)}
         for name, shape in expected.items():
-            tensor = getattr(self, name)
-            if tuple(tensor.shape) != shape or tensor.dtype != torch.float64:
-                raise ValueError(
-                    f"{name} is {tensor.dtype} of {tuple(tensor.shape)}, expected float64 of {shape}"
-                )
+            kind, found = getattr(self, name).dtype, tuple(getattr(self, name).shape)
+            if found != shape or kind != torch.float64:
+                raise ValueError(f"{name} is {kind} of {found}, expected float64 of {shape}")
         if steps < 2:
             raise ValueError(f"{steps} poses; must be two or more")
         if self.pieces.ndim != 1 or self.pieces.dtype != torch.int64 or bool((self.pieces < 1).any()):
@@ -118,9 +93,11 @@ class NodeMotion:
             raise ValueError(f"instances of {self.pieces.tolist()} pieces; there are poses of {count}")
 
     def tensors(self) -> dict[str, torch.Tensor]:
+        """All numbers, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __len__(self) -> int:
+        """Number of instances."""
         return len(self.pieces)
 
     def at(self, time: float) -> Poses:
@@ -132,21 +109,30 @@ class NodeMotion:
         return Poses(rotations, offsets, self.centres, self.pieces)
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
+        """Gaussians as they are at a time from 0 to 1; torch can differentiate them by those at rest.
+
+        Those of an instance (N,) below 0 stay where they are.
+        """
         return self.course(gaussians, instance)(time)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
+        """`shown` of some Gaussians as a function of time: what all times share is found once."""
         # Which pieces a node follows is told at rest, whatever the time.
         followed = _followed(gaussians, instance, self.at(0.0))
         return lambda time: _posed(gaussians, followed, self.at(time))
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """Exact for instances of one piece."""
+        """The way back: at rest, Gaussians that are shown at a time; exact for instances of one piece."""
         return posed(gaussians, instance, self.at(time).inverse())
 
     def placed(self, place: Place) -> NodeMotion:
         """The motion in the coordinates of a place, from that in world space."""
         centres = torch.from_numpy(place.from_world(self.centres.numpy()))
         return replace(self, centres=centres, shifts=self.shifts / place.unit)
+
+
+# Where nodes that belong to instances are at a time; `NodeMotion` says what both have.
+Dynamics = NodeMotion | LearnedMotion
 
 
 def posed(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> Gaussians:

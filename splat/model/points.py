@@ -21,11 +21,6 @@ def rows_of(tensor: torch.Tensor) -> Floats:
     return tensor.detach().numpy().T.astype(np.float64)
 
 
-def means_of(gaussians: Gaussians) -> Floats:
-    """(N, 3) centres in world space."""
-    return rows_of(gaussians.means)
-
-
 def quaternions_xyzw(gaussians: Gaussians) -> Floats:
     """(N, 4) rotations in SciPy's order x, y, z, w, not necessarily of unit length."""
     return rows_of(gaussians.rotations)[:, [1, 2, 3, 0]]
@@ -48,7 +43,7 @@ def from_world(world: Gaussians, place: Place) -> Gaussians:
 
 def place_of_gaussians(world: Gaussians) -> Place:
     """The place for Gaussians of which no views are known; the world itself where that is good enough."""
-    means = means_of(world)
+    means = rows_of(world.means)
     middle = np.median(means, axis=0)
     size = float(np.median(np.linalg.norm(means - middle, axis=1)))
     near = np.linalg.norm(middle) <= _FARTHEST * size

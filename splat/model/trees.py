@@ -12,16 +12,7 @@ from scipy.special import expit
 
 from splat.model.gaussians import Gaussians, written
 from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers, without_parents
-from splat.model.points import (
-    Floats,
-    Ints,
-    Neighbours,
-    means_of,
-    quaternions_xyzw,
-    remoteness,
-    rows_of,
-    z_curve_order,
-)
+from splat.model.points import Floats, Ints, Neighbours, quaternions_xyzw, remoteness, rows_of, z_curve_order
 
 _MAXIMUM_OPACITY = 0.99
 # Least ratio of the shortest axis of a merged Gaussian to its longest.
@@ -48,19 +39,13 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     # Eigenvalues are exact to a share of the largest one only, and rounding can make the others negative.
     log_scales = 0.5 * np.log(np.maximum(variance, _FLATTEST**2 * variance[:, -1:]))
-    log_opacity = np.minimum(
-        np.logaddexp(weight_a, weight_b) - _log_surface(log_scales), np.log(_MAXIMUM_OPACITY)
-    )
+    log_opacity = np.logaddexp(weight_a, weight_b) - _log_surface(log_scales)
+    log_opacity = np.minimum(log_opacity, np.log(_MAXIMUM_OPACITY))
     quaternion = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]] if len(axes) else np.zeros((0, 4))
     to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
-    part = to_torch(share)
-    merged = Gaussians(
-        to_torch(mean.T),
-        to_torch(log_scales.T),
-        to_torch(quaternion.T),
-        to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
-        part * a.all_turning().sh + (1 - part) * b.all_turning().sh,
-    )
+    logits, part = log_opacity - np.log1p(-np.exp(log_opacity)), to_torch(share)
+    sh = part * a.all_turning().sh + (1 - part) * b.all_turning().sh
+    merged = Gaussians(*[*map(to_torch, (mean.T, log_scales.T, quaternion.T, logits)), sh])
     if a.directional is None and b.directional is None:
         return merged
     return merged.turning(a.turns | b.turns)
@@ -102,10 +87,10 @@ def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[
     for code in np.unique(codes_below[parent < 0]):
         children = np.flatnonzero((parent < 0) & (codes_below == code))
         candidates = np.flatnonzero(codes_above == code)
-        centres = means_of(below.gaussians)[children]
+        centres = rows_of(below.gaussians.means)[children]
         order = z_curve_order(centres)
         children, centres = children[order], centres[order]
-        search = _ParentSearch(centres, means_of(above.gaussians)[candidates], room[candidates], tries)
+        search = _ParentSearch(centres, rows_of(above.gaussians.means)[candidates], room[candidates], tries)
         found = search.run()
         old = found < len(candidates)
         parent[children[old]] = candidates[found[old]]
@@ -263,7 +248,7 @@ def _kept_parents(below: Layer, above: Layer) -> Ints:
     parent = below.parent.numpy().astype(np.int64)
     known = np.flatnonzero((parent >= 0) & (parent < len(above)))
     of = parent[known]
-    offset = means_of(below.gaussians)[known] - means_of(above.gaussians)[of]
+    offset = rows_of(below.gaussians.means)[known] - rows_of(above.gaussians.means)[of]
     turn = Rotation.from_quat(quaternions_xyzw(above.gaussians)[of])
     local = turn.inv().apply(offset) if len(known) else offset
     inside = (local / np.exp(rows_of(above.gaussians.log_scales))[of]) ** 2
@@ -295,7 +280,7 @@ def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Int
     count = np.bincount(parent, minlength=len(above))
     codes_below, codes_above = label_codes(below), label_codes(above)
     childless = np.flatnonzero(count == 0)
-    near = Neighbours(means_of(below.gaussians), means_of(above.gaussians)[childless], NEIGHBOURS)
+    near = Neighbours(rows_of(below.gaussians.means), rows_of(above.gaussians.means)[childless], NEIGHBOURS)
     without = []
     for node, candidates in zip(childless, near.index, strict=True):
         for child in candidates:

@@ -112,8 +112,8 @@ class Boxed:
 
 def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxed:
     """What is read of splats for tiles of that side, each confined to some tiles."""
-    boxes = _boxes(arrays, splats, bounds, side)
-    return Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, boxes), boxes.across * boxes.down)
+    left, top, across, down = _boxes(arrays, splats, bounds, side)
+    return Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, left, top, across), across * down)
 
 
 class Candidates:
@@ -179,8 +179,7 @@ class Candidates:
         """The candidates of runs with the indices that sort them, and the first one of each run."""
         arrays, tiles = self._arrays, self.grid.columns * self.grid.rows
         grid, size = self.grid.numbers(arrays), capacity(runs.pairs)
-        given = grid, runs.of, self._mask, arrays.constant(runs.pairs), size
-        key, splat, first = _keys(arrays, *given)
+        key, splat, first = _keys(arrays, grid, runs.of, self._mask, arrays.constant(runs.pairs), size)
         # Not in a recording: on a card, Dr.Jit 1.5 ends the process when it replays a sort.
         sorting = arrays.argsort(key, tiles + 1)
         return SortedPairs(grid, tiles, size, key, splat, sorting), first
@@ -203,18 +202,11 @@ def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
     return arrays.argsort(dr.select(seen, dr.minimum(steps >> shift, last - 1), last), last + 1)
 
 
-@dataclass(frozen=True)
-class _Boxes:
-    """Tiles that the boxes around N splats touch, UInts of width N."""
+def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> tuple[Any, Any, Any, Any]:
+    """Tiles that the box around each splat's visible ellipse touches, UInts of width N.
 
-    left: Any  # left, top: first column and row
-    top: Any
-    across: Any  # across, down: numbers of columns and rows, 0 for a splat that is not seen
-    down: Any
-
-
-def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Boxes:
-    """Tiles that the box around each splat's visible ellipse touches."""
+    Their first column and row, and numbers of columns and rows, 0 for a splat that is not seen.
+    """
     Int, UInt = arrays.plain.Int, arrays.plain.UInt
     # exp(-q / 2) opacity = 1/255 is the ellipse q = 2 ln(255 opacity); the covariance's diagonal bounds it.
     level = 2 * dr.log(dr.maximum(splats.opacity * (1 / MINIMUM_ALPHA), 1))
@@ -232,7 +224,7 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
     numbers = reach_x + reach_y + splats.x + splats.y + splats.red + splats.green + splats.blue
     seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(numbers)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)
-    return _Boxes(UInt(x0), UInt(y0), across, down)
+    return UInt(x0), UInt(y0), across, down
 
 
 def _packed(arrays: Arrays, splats: Splats) -> Records:
@@ -246,10 +238,10 @@ def _packed(arrays: Arrays, splats: Splats) -> Records:
     return _BLENDED.pack(arrays, **same, u_x=u_x, u_y=u_y, v_y=v_y, constant=constant)
 
 
-def _packed_boxes(arrays: Arrays, ellipse: Any, boxes: _Boxes) -> Records:
+def _packed_boxes(arrays: Arrays, ellipse: Any, left: Any, top: Any, across: Any) -> Records:
     """Records of boxes and of what lies in them, splats or such records as they are read."""
     same = {name: getattr(ellipse, name) for name in _ELLIPSE}
-    return _BOX.pack(arrays, **same, corner=boxes.left | boxes.top << 16, across=boxes.across)
+    return _BOX.pack(arrays, **same, corner=left | top << 16, across=across)
 
 
 def _clipped(arrays: Arrays, boxes: Records, count: Any, window: TileWindow) -> tuple[Records, Any]:
@@ -262,8 +254,7 @@ def _clipped(arrays: Arrays, boxes: Records, count: Any, window: TileWindow) -> 
     end_y = dr.minimum(at_top + count // dr.maximum(box.across, 1), bottom)
     inside = (count > 0) & (end_x > first_x) & (end_y > first_y)
     across, down = dr.select(inside, end_x - first_x, 0), dr.select(inside, end_y - first_y, 0)
-    clipped, tiles = _Boxes(first_x, first_y, across, down), across * down
-    records = _packed_boxes(arrays, box, clipped)
+    records, tiles = _packed_boxes(arrays, box, first_x, first_y, across), across * down
     dr.eval(records.tables, tiles)
     return records, tiles
 

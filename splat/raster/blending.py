@@ -38,22 +38,17 @@ _LONG_LIST = 256
 
 
 def rasterize(
-    arrays: Arrays,
-    blended: Records,
-    bins: Bins,
-    images: list[Any] | None = None,
-    heights: Sequence[int] | None = None,
+    arrays: Arrays, blended: Records, bins: Bins, split: ImageSplit, images: list[Any] | None = None
 ) -> list[Any]:
     """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
     Args:
         blended: the splats, as `Boxed` has them.
+        split: images of all rows of tiles, which lie one above the other.
         images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the
             top; new ones by default.
-        heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
     """
-    grid, size = bins.grid, bins.lists.pairs
-    split = ImageSplit.of(arrays, grid, heights or [grid.rows])
+    size = bins.lists.pairs
     if not size:
         return images or split.new(arrays, dr.zeros)
     jumping = jumps(arrays, size, int(np.count_nonzero(bins.wanted)))
@@ -146,9 +141,9 @@ def blend(
     if len(images) > 1:
         within = [(block.y >= top) & (block.y < bottom) for top, bottom in pairwise(rows)]
     for target, first in block.chunks(width):
-        values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
+        values = [*pixels[first], *pixels[first + 1]]
         for image, own, row in zip(images, within, rows[:-1], strict=True):
-            dr.scatter(image, values, target - row * width // 2, own, mode=dr.ReduceMode.Permute)
+            arrays.put_packet(image, values, target - row * width // 2, own)
     dr.eval(images)
     return images
 
@@ -185,7 +180,9 @@ def sums_of_bins(
     """
     if not bins.lists.pairs:
         return sums or no_sums(arrays, len(blended))
-    return _sums(arrays, WalkedLists.of(arrays, blended, bins), image, gradient, sums)
+    runs, alone = (bins.first, bins.count, bins.owner), not stays_together(arrays)
+    walked = WalkedLists(blended, bins.lists, bins.tiles, *runs, alone)
+    return _sums(arrays, walked, image, gradient, sums)
 
 
 @dataclass(frozen=True)
@@ -199,12 +196,6 @@ class WalkedLists:
     count: Any
     owner: Any
     alone: bool  # whether lanes go by themselves
-
-    @staticmethod
-    def of(arrays: Arrays, blended: Records, bins: Bins) -> WalkedLists:
-        """Those of the wanted tiles."""
-        runs = bins.first, bins.count, bins.owner
-        return WalkedLists(blended, bins.lists, bins.tiles, *runs, not stays_together(arrays))
 
 
 def sums_of_lists(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 from types import SimpleNamespace
 from typing import Any
 
@@ -63,10 +64,7 @@ class Blocks:
 
     def is_active(self, i: Any, transmittance: Sequence[Any]) -> Any:
         """Whether splats are left and any pixel of the block still transmits light."""
-        most = transmittance[0]
-        for value in transmittance[1:]:
-            most = dr.maximum(most, value)
-        return (i < self.last) & (most > MINIMUM_TRANSMITTANCE)
+        return (i < self.last) & (reduce(dr.maximum, transmittance) > MINIMUM_TRANSMITTANCE)
 
     def log2_alphas(self, splat: SimpleNamespace) -> list[tuple[Any, Any, Any]]:
         """For each pixel of the block, row by row, log2 of a splat's alpha, not yet clamped, and its u and v.
@@ -96,8 +94,7 @@ class Blocks:
         """Red, green, blue of each pixel of the block, from a flat image of that width in pixels."""
         values: list[Any] = []
         for target, _ in self.chunks(width):
-            shape = (_CHUNK, dr.width(target))
-            two = dr.gather(self._arrays.plain.ArrayXf, image, target, shape=shape)
+            two = self._arrays.packet(image, _CHUNK, target)
             values += [two[k] for k in (0, 1, 2, CHANNELS, CHANNELS + 1, CHANNELS + 2)]
         return values
 

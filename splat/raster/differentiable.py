@@ -1,4 +1,7 @@
-"""Gaussians to image for torch: projection, binning and rasterization in one call, with the gradient."""
+"""Gaussians to image for torch: projection, binning and rasterization in one call, with the gradient.
+
+And which Gaussians a view may show, and what each contributes to its pixels (Fov-GS, Eq. 1).
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,12 @@ from compose.base.errors import UserError
 from compose.base.frozen import AnySize, Frozen, capacity
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
+from compose.image.colour import SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, linear_power
 from splat.model.gaussians import SH_DC, Directional, Gaussians
 from splat.model.points import from_world
 from splat.raster.binning import Boxed, Candidates, TileBounds, boxed, everywhere
 from splat.raster.blending import gradients_from_sums
 from splat.raster.blocks import CHANNELS
-from splat.raster.harmonics import sh_basis
 from splat.raster.parts import Parts, rasterize_parts, sums_of_parts
 from splat.raster.projection import (
     NEAR,
@@ -33,7 +36,9 @@ from splat.raster.projection import (
     Parameters,
     Splats,
     camera_numbers,
+    may_show,
     project,
+    sh_basis,
 )
 from splat.raster.tiles import TileGrid
 
@@ -136,19 +141,8 @@ def render_differentiable(
     return _Render.apply(arrays, camera, low_pass, *tensors)
 
 
-def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats; those of `aligned_rows`.
-
-    Raises:
-        ValueError: some harmonics are apart from `sh`; `seen_from` makes them part of it.
-    """
-    if gaussians.directional is not None:
-        raise ValueError("Gaussians with directional harmonics of their own: must be seen from an eye first")
-    return parameters_of(aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()]))
-
-
 def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
-    """The rows of tensors (..., N) as Dr.Jit floats, which start where vectors are aligned.
+    """The rows of tensors (..., N) as plain Dr.Jit floats, which start where vectors are aligned.
 
     They share the memory of tensors whose rows all do so, as those of a multiple of 16 Gaussians; others are
     copied. From rows elsewhere, Dr.Jit would compile other kernels for other numbers of Gaussians. Loads by
@@ -164,7 +158,7 @@ def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
         torch.cat([flat[k] for k in others], out=copy)
         for k, part in zip(others, copy.split(sizes), strict=True):
             flat[k] = part
-    return [arrays.from_torch(row) for rows in flat for row in rows]
+    return [dr.detach(arrays.from_torch(row), preserve_type=False) for rows in flat for row in rows]
 
 
 def _is_aligned(rows: torch.Tensor) -> bool:
@@ -188,14 +182,11 @@ class _Render(torch.autograd.Function):
     def forward(  # type: ignore[override]
         ctx: Any, arrays: Arrays, camera: Camera, low_pass: float, *tensors: torch.Tensor
     ) -> torch.Tensor:
-        rows = [
-            dr.detach(row, preserve_type=False)
-            for row in parameters_from(arrays, Gaussians(*tensors)).leaves()
-        ]
+        # Of tensors that may have other shapes than when they were made Gaussians.
+        rows = aligned_rows(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
         _wait_for_torch(tensors[0].device)
         grid = TileGrid(camera.width, camera.height)
-        plain = arrays.plain
-        view = camera_numbers(plain.Float, camera), constant(plain.Float, low_pass)
+        view = camera_numbers(arrays, camera), constant(arrays.plain.Float, low_pass)
         count = dr.width(rows[0])
         padded = PaddedRows(AnySize(rows), arrays.constant(count), capacity(count + 1))
         splats, found = _projected(arrays, padded, *view, everywhere(arrays, grid), grid.side)
@@ -233,7 +224,7 @@ class _Render(torch.autograd.Function):
 
 
 def parameters_of(rows: list[Any]) -> Parameters:
-    """Parameters from their rows in the order of `Parameters.leaves`."""
+    """Parameters from their rows, in the order of the parameter tensors' memory."""
     means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
     return Parameters(means, log_scales, rotations, rows[10], [sh[k : k + 3] for k in range(0, len(sh), 3)])
 
@@ -243,7 +234,7 @@ class PaddedRows:
     """Rows of N Gaussians, to be followed by invisible ones: trainings render other numbers in each view.
 
     Attributes:
-        rows: (N,) each, in the order of `Parameters.leaves`.
+        rows: (N,) each, in the order of the parameter tensors' memory.
         count: N, in memory.
         size: more than N.
     """
@@ -284,7 +275,8 @@ def gradients_of_rows(
     """
     size, leaves = padded.size, [arrays.ad.Float(row) for row in padded.on(arrays)]
     dr.enable_grad(leaves)
-    outputs = project(parameters_of(leaves), view, low_pass).differentiable()
+    # The rasterizer has gradients for all but the depths, which come last.
+    *outputs, _ = vars(project(parameters_of(leaves), view, low_pass)).values()
     for value, by_value in zip(outputs, gradients_from_sums(splats, sums), strict=True):
         dr.accum_grad(value, by_value)
     dr.enqueue(dr.ADMode.Backward, outputs)
@@ -308,3 +300,46 @@ def _wait_for_torch(device: torch.device) -> None:
     """
     if device.type == "cuda":
         torch.cuda.default_stream(device).wait_stream(torch.cuda.current_stream(device))
+
+
+def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tensor:
+    """(M,) int64 indices of all Gaussians that are drawn in a camera's frame, and of some beside it."""
+    means, log_scales = gaussians.means, gaussians.log_scales
+    if not len(gaussians):
+        return torch.zeros(0, dtype=torch.int64, device=means.device)
+    rows = aligned_rows(arrays, [means, log_scales])
+    longest = dr.exp(dr.maximum(dr.maximum(rows[3], rows[4]), rows[5]))
+    index = arrays.plain.Int(dr.compress(may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER)))
+    return arrays.to_torch(index, means.device).long()
+
+
+# Opacity below which a pixel shows no Gaussian.
+_LEAST_OPACITY = 1 / 255
+_CHANNELS = 3
+# Radiance of a Gaussian without spherical harmonics, and its derivative by the constant one.
+_GREY = linear_power(0.5)
+_GREY_SLOPE = SH_DC * SRGB_GAMMA / SRGB_SCALE * ((0.5 + SRGB_OFFSET) / SRGB_SCALE) ** (SRGB_GAMMA - 1)
+
+
+def contributions(
+    arrays: Arrays, gaussians: Gaussians, camera: Camera, weights: NDArray[np.float32]
+) -> torch.Tensor:
+    """(N, C) sums of what N Gaussians contribute to pixels of a view, times weights (H, W, C) of these.
+
+    To a pixel, Gaussian m contributes c_m = alpha_m prod_{n<m} (1 - alpha_n), over the sum of that over all
+    Gaussians: Eq. 1 with the product up to m - 1 and the inverse covariance, without which it would not be
+    what is blended. It is the derivative of a rendered pixel by the colour of the Gaussian.
+    """
+    found = torch.zeros(len(gaussians), weights.shape[2])
+    if not len(gaussians):
+        return found
+    for first in range(0, weights.shape[2], _CHANNELS):
+        part = torch.from_numpy(np.ascontiguousarray(weights[..., first : first + _CHANNELS]))
+        sh = torch.zeros(1, 3, len(gaussians), requires_grad=True)
+        image = render_differentiable(arrays, replace(gaussians, sh=sh, directional=None), camera)
+        opacity = image.detach()[..., :1] / _GREY
+        share = torch.where(opacity > _LEAST_OPACITY, part / opacity.clamp(min=_LEAST_OPACITY), 0)
+        (image[..., : share.shape[-1]] * share).sum().backward()
+        assert sh.grad is not None
+        found[:, first : first + _CHANNELS] = sh.grad[0, : share.shape[-1]].T / _GREY_SLOPE
+    return found

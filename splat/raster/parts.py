@@ -63,12 +63,11 @@ class Parts:
 
 
 def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None = None) -> list[Any]:
-    """Renders linear radiance and opacity, as `rasterize` does."""
-    heights = heights or [parts.grid.rows]
-    split = ImageSplit.of(arrays, parts.grid, heights)
+    """Renders linear radiance and opacity, as `rasterize` does: images of so many rows of tiles, or one."""
+    split = ImageSplit.of(arrays, parts.grid, heights or [parts.grid.rows])
     images = None if parts.only is not None else split.new(arrays, dr.zeros)
     for bins in parts:
-        images = rasterize(arrays, parts.blended, bins, images, heights)
+        images = rasterize(arrays, parts.blended, bins, split, images)
     assert images is not None
     return images
 

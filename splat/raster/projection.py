@@ -13,17 +13,15 @@ from __future__ import annotations
 
 import atexit
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import chain
+from functools import lru_cache, reduce
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
-from compose.base.arrays import Arrays, uploaded
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.model.gaussians import SH_DC
-from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis, sh_sums
+from compose.image.colour import SRGB_DARK_VALUE, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE, srgb_power
+from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
 PIXEL_FILTER = 0.1
@@ -48,6 +46,10 @@ _LARGEST_EXPONENT = 80.0
 _REACH = 3.33
 # Vectors no longer than this have no direction.
 _SHORTEST = 1e-30
+# Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr), 1.6e9 cd / m^2. Its square,
+# summed over all pixels of a frame and multiplied by what the gradient needs, still fits float32.
+LARGEST_RADIANCE = 1e12
+_LARGEST_PERCEPTUAL = srgb_power(LARGEST_RADIANCE)
 
 
 @dataclass
@@ -70,15 +72,6 @@ class Splats:
     green: Any
     blue: Any
     depth: Any  # along the view axis; only its order matters
-
-    def differentiable(self) -> list[Any]:
-        """All parameters that the rasterizer has gradients for, in the order of declaration."""
-        shape = self.x_precision, self.shear, self.y_precision
-        return [self.x, self.y, *shape, self.opacity, self.red, self.green, self.blue]
-
-    def detached(self) -> Splats:
-        """The same numbers as arrays without derivatives."""
-        return Splats(*(dr.detach(v, preserve_type=False) for v in (*self.differentiable(), self.depth)))
 
 
 @dataclass
@@ -108,11 +101,6 @@ class Parameters:
     opacity_logits: Any  # one row
     sh: list[list[Any]]  # for each spherical harmonic its three channels
 
-    def leaves(self) -> list[Any]:
-        """All rows, in the order of the parameter tensors' memory."""
-        harmonics = chain.from_iterable(self.sh)
-        return [*self.means, *self.log_scales, *self.rotations, self.opacity_logits, *harmonics]
-
 
 @dataclass(frozen=True)
 class CameraNumbers:
@@ -133,7 +121,7 @@ class CameraNumbers:
         return CameraNumbers(*wide, *([number(value) for value in values] for values in rest))
 
 
-def project(parameters: Parameters, camera: Camera | CameraNumbers, low_pass: Any) -> Splats:
+def project(parameters: Parameters, camera: CameraNumbers, low_pass: Any) -> Splats:
     """Projects Gaussians onto a camera's film and filters them, differentiably.
 
     The low-pass, a float or an array (N,), is the variance in px^2 that is added to each 2D covariance.
@@ -156,10 +144,10 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
     return Splats(raw.x, raw.y, x_precision, -raw.xy * y_precision, y_precision, opacity, *rest)
 
 
-def footprints(parameters: Parameters, camera: Camera | CameraNumbers) -> Footprints:
+def footprints(parameters: Parameters, camera: CameraNumbers) -> Footprints:
     """Projects Gaussians onto a camera's film, without a filter."""
     number: Any = type(parameters.opacity_logits)
-    view = (camera_numbers(number, camera) if isinstance(camera, Camera) else camera).like(number)
+    view = camera.like(number)
     rotation, (fx, fy), (cx, cy), (limit_x, limit_y) = view.rotation, view.focal, view.centre, view.limits
     from_eye = _from_eye(parameters.means, view.eye)
     vx, vy, vz = _in_camera(rotation, from_eye)
@@ -179,9 +167,8 @@ def footprints(parameters: Parameters, camera: Camera | CameraNumbers) -> Footpr
     logits = dr.maximum(parameters.opacity_logits, -_LARGEST_EXPONENT)
     opacity = dr.select(seen, dr.rcp(1 + dr.exp(-logits)), 0)
 
-    red, green, blue = (
-        radiance_from_perceptual(value) for value in perceptual_radiance(parameters.sh, _normalized(from_eye))
-    )
+    colour = perceptual_radiance(parameters.sh, _normalized(from_eye))
+    red, green, blue = map(radiance_from_perceptual, colour)
     return Footprints(x, y, *covariance, opacity, red, green, blue, dr.detach(vz))
 
 
@@ -208,11 +195,10 @@ def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> t
     return xx, xy, yy, dr.maximum(conditional, _NARROWEST)
 
 
-def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
+def directional_constant(arrays: Arrays, sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
     """How a camera sees harmonics above the constant one, three channels each: as a constant one."""
-    number: Any = type(means[0])
-    eye = camera_numbers(number, camera).eye
-    basis = sh_basis(len(sh) + 1, _normalized([number(part) for part in _from_eye(means, eye)]))[1:]
+    from_eye = map(arrays.plain.Float, _from_eye(means, camera_numbers(arrays, camera).eye))
+    basis = sh_basis(len(sh) + 1, _normalized(list(from_eye)))[1:]
     return [channel / SH_DC for channel in sh_sums(sh, basis)]
 
 
@@ -221,7 +207,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
     """
-    view = camera_numbers(arrays.plain.Float, camera)
+    view = camera_numbers(arrays, camera)
     (fx, fy), (cx, cy), (limit_x, limit_y) = view.focal, view.centre, view.limits
     vx, vy, vz = _in_camera(view.rotation, _from_eye(means, view.eye))
     seen = vz > NEAR
@@ -239,30 +225,23 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """
     seen, x, y, spread = view_position(arrays, means, camera)
     reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)
-    half_width, half_height = camera_numbers(arrays.plain.Float, camera).half
+    half_width, half_height = camera_numbers(arrays, camera).half
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)
 
 
 @lru_cache(maxsize=4)
-def camera_numbers(number: Any, camera: Camera) -> CameraNumbers:
-    """Those of a camera, in types that go with a kind of Float.
-
-    Uploaded together, and kept, since a view has several layers.
-    """
-    half = [
-        max(camera.cx, camera.width - camera.cx) / camera.fx,
-        max(camera.cy, camera.height - camera.cy) / camera.fy,
-    ]
-    double, index = dr.float64_array_t(number), dr.uint32_array_t(number)
+def camera_numbers(arrays: Arrays, camera: Camera) -> CameraNumbers:
+    """Those of a camera, uploaded together, and kept, since a view has several layers."""
+    across = max(camera.cx, camera.width - camera.cx) / camera.fx
+    down = max(camera.cy, camera.height - camera.cy) / camera.fy
     values = [
         *(*camera.world_to_camera[:3, :3].flat, *camera.position),
         *(camera.fx, camera.fy, camera.cx, camera.cy),
-        *(_TANGENT_LIMIT * half[0], _TANGENT_LIMIT * half[1], camera.width / 2, camera.height / 2),
+        *(_TANGENT_LIMIT * across, _TANGENT_LIMIT * down, camera.width / 2, camera.height / 2),
     ]
-    table, first = uploaded(double, np.array(values)), dr.opaque(index, 0)
-    found = [dr.gather(double, table, first + k) for k in range(len(values))]
-    found[12:] = [number(value) for value in found[12:]]
+    found = arrays.scalars(arrays.plain.Float64, values)
+    found[12:] = [arrays.plain.Float(value) for value in found[12:]]
     dr.eval(found)
     return CameraNumbers(found[:9], found[9:12], found[12:14], found[14:16], found[16:18], found[18:])
 
@@ -294,9 +273,7 @@ def _normalized(vector: list[Any]) -> list[Any]:
     """A vector of unit length, or of nearly none."""
     # Squares of very long and very short vectors leave float32's range, so they are scaled first. The result
     # does not depend on the scale, and needs no derivative by it.
-    longest = dr.detach(dr.abs(vector[0]))
-    for v in vector[1:]:
-        longest = dr.maximum(longest, dr.detach(dr.abs(v)))
+    longest = reduce(dr.maximum, (dr.detach(dr.abs(v)) for v in vector))
     scale = dr.rcp(dr.select(longest > _SHORTEST, longest, 1))
     scaled = [v * scale for v in vector]
     # A zero quaternion, or a Gaussian at the camera itself, has no direction but must not become NaN.
@@ -312,3 +289,51 @@ def _rotation_matrix(quaternion: list[Any]) -> list[list[Any]]:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+
+
+def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
+    """Perceptual radiance, three channels (N,), from those of each harmonic, along unit vectors x, y, z."""
+    return [0.5 + channel for channel in sh_sums(sh, sh_basis(len(sh), direction))]
+
+
+def sh_sums(sh: list[list[Any]], basis: list[Any]) -> list[Any]:
+    """Sums of coefficients, three channels each, times their harmonics: three channels."""
+    return [sum(row[c] * value for row, value in zip(sh, basis, strict=True)) for c in range(3)]
+
+
+def sh_basis(count: int, direction: list[Any]) -> list[Any]:
+    """The first 1, 4, 9 or 16 real spherical harmonics, with the signs of 3D Gaussian splatting's files.
+
+    The direction is x, y, z of unit vectors, numbers of any kind.
+    """
+    x, y, z = direction
+    basis: list[Any] = [SH_DC]
+    if count > 1:
+        basis += [-SH_LINEAR * y, SH_LINEAR * z, -SH_LINEAR * x]
+    if count > 4:
+        a, b, c = SH_QUADRATIC
+        basis += [a * x * y, -a * y * z, b * (3 * z * z - 1), -a * x * z, c * (x * x - y * y)]
+    if count > 9:
+        a, b, c, d, e = SH_CUBIC
+        basis += [
+            -a * y * (3 * x * x - y * y),
+            b * x * y * z,
+            -c * y * (5 * z * z - 1),
+            d * z * (5 * z * z - 3),
+            -c * x * (5 * z * z - 1),
+            e * z * (x * x - y * y),
+            -a * x * (x * x - 3 * y * y),
+        ]
+    return basis
+
+
+def radiance_from_perceptual(perceptual: Any) -> Any:
+    """Inverse of the sRGB curve, continued above 1 by the same power.
+
+    Negative values give 0, and what would exceed `LARGEST_RADIANCE` gives that: as infinity, it would turn
+    every pixel near the Gaussian into a NaN.
+    """
+    value = dr.clip(perceptual, 0, _LARGEST_PERCEPTUAL)
+    shifted = dr.maximum(value, SRGB_DARK_VALUE) + SRGB_OFFSET
+    bright = dr.exp2(SRGB_GAMMA * dr.log2(shifted * (1 / SRGB_SCALE)))
+    return dr.select(value <= SRGB_DARK_VALUE, value * (1 / SRGB_SLOPE), bright)

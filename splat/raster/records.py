@@ -99,7 +99,7 @@ class RecordLayout:
             floats += [dr.reinterpret_array(arrays.plain.Float, row) if is_integer else row for row in rows]
         floats += [arrays.plain.Float(0) for _ in range(self.spare)]
         count = max(dr.width(row) for row in floats)
-        return self.scattered(arrays, [arrays.plain.ArrayXf(floats[p.floats]) for p in self.packets], count)
+        return self.scattered(arrays, [floats[p.floats] for p in self.packets], count)
 
     def upload(self, arrays: Arrays, **values: Any) -> Records:
         """Packs numbers that are in host memory and copies them to the device."""
@@ -125,10 +125,10 @@ class RecordLayout:
         return host
 
     def scattered(self, arrays: Arrays, packets: Sequence[Any], count: int) -> Records:
-        """`count` records of packets, one ArrayXf per load."""
+        """`count` records of packets, one ArrayXf or list of Floats per load."""
         tables, record = self.tables(arrays, count), dr.arange(arrays.plain.UInt, count)
         for packet, values in zip(self.packets, packets, strict=True):
-            dr.scatter(tables[packet.table], values, packet.index(record), mode=dr.ReduceMode.Permute)
+            arrays.put_packet(tables[packet.table], values, packet.index(record))
         return Records(arrays, self, tables)
 
     def tables(self, arrays: Arrays, count: int) -> list[Any]:
@@ -181,11 +181,8 @@ class Records:
 
     def packets(self, index: Any) -> list[Any]:
         """The packets of the records at an index, one ArrayXf per load."""
-        ArrayXf, width = self.arrays.plain.ArrayXf, dr.width(index)
-        return [
-            dr.gather(ArrayXf, self.tables[p.table], p.index(index), shape=(p.size, width))
-            for p in self.layout.packets
-        ]
+        packet = self.arrays.packet
+        return [packet(self.tables[p.table], p.size, p.index(index)) for p in self.layout.packets]
 
 
 def concatenated_records(parts: Sequence[tuple[Records, Any, int]]) -> Records:
@@ -199,8 +196,7 @@ def concatenated_records(parts: Sequence[tuple[Records, Any, int]]) -> Records:
         lane = dr.arange(arrays.plain.UInt, dr.width(index))
         known, target = lane < arrays.constant(count), lane + arrays.constant(start)
         for packet, values in zip(layout.packets, records.packets(index), strict=True):
-            at = packet.index(target)
-            dr.scatter(tables[packet.table], values, at, known, mode=dr.ReduceMode.Permute)
+            arrays.put_packet(tables[packet.table], values, packet.index(target), known)
         start += count
     dr.eval(tables)
     return Records(arrays, layout, tables)

@@ -25,10 +25,10 @@ _MOST_PIXELS = (1 << 30) - 1
 class GridNumbers:
     """A grid as kernels read it, UInts of width 1 in memory: the same kernels serve all frames."""
 
+    side: int  # of a tile in pixels
     columns: Any
     tiles: Any  # columns * rows
     width: Any  # of all tiles in pixels
-    side: int  # of a tile in pixels
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,8 @@ class TileGrid:
 
     def numbers(self, arrays: Arrays) -> GridNumbers:
         """The grid on the device."""
-        columns, tiles, width = (
-            arrays.constant(n) for n in (self.columns, self.columns * self.rows, self.padded_width)
-        )
-        return GridNumbers(columns, tiles, width, self.side)
+        sizes = self.columns, self.columns * self.rows, self.padded_width
+        return GridNumbers(self.side, *map(arrays.constant, sizes))
 
     def mask(self, wanted: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
         """(rows, columns) the wanted tiles; None stands for all.

@@ -17,7 +17,7 @@ from compose.camera.coordinate_systems import TYPICAL_DISTANCE
 from splat.model.gaussians import SH_DC
 from splat.model.layer import Layer
 from splat.model.motion import turned
-from splat.model.points import Floats, Ints, drawn_in, means_of, rows_of, z_curve_keys
+from splat.model.points import Floats, Ints, drawn_in, rows_of, z_curve_keys
 from splat.model.trees import label_codes
 
 # Halvings of the cube around everything: a cell of the last ones is a fraction of a pixel in most frames.
@@ -61,13 +61,13 @@ class HitTree:
     def __init__(self, hits: Layer):
         if not len(hits):
             raise ValueError("an octree needs at least one hit")
-        keys = z_curve_keys(drawn_in(means_of(hits.gaussians), np.zeros(3), _FAR), _DEPTH)
+        keys = z_curve_keys(drawn_in(rows_of(hits.gaussians.means), np.zeros(3), _FAR), _DEPTH)
         keys |= _kind(hits).astype(np.uint64) << np.uint64(3 * _DEPTH)
         order = np.argsort(keys, kind="stable")
         self._keys, self._hits = keys[order], hits.select(torch.from_numpy(order))
         self._colour = 0.5 + SH_DC * rows_of(self._hits.gaussians.sh[0])
         self._shown = np.minimum(self._colour, _BRIGHTEST)
-        self._means = means_of(self._hits.gaussians)
+        self._means = rows_of(self._hits.gaussians.means)
         self._pixel = np.exp(self._hits.gaussians.log_scales[0].double().numpy())
         self._levels = self._grown()
         self._rank()
@@ -91,20 +91,18 @@ class HitTree:
 
     def _rank(self) -> None:
         """How much a cell must be worth to be divided, and what dividing all that are worth more brings."""
-        worth = [
-            np.where(level.size > _LARGEST, _FIRST * level.size, level.spread) for level in self._levels[:-1]
-        ]
-        for level, cells in zip(self._levels, worth, strict=False):
-            cells[level.count < _FEWEST] = 0
-        for number in range(1, len(worth)):
+        self._worth: list[Floats] = []
+        for level in self._levels[:-1]:
+            worth = np.where(level.size > _LARGEST, _FIRST * level.size, level.spread)
+            worth[level.count < _FEWEST] = 0
             # A cell is there only if those around it are divided.
-            worth[number] = np.minimum(worth[number], worth[number - 1][self._levels[number].parent])
-        self._worth = worth
+            above = self._worth[-1] if self._worth else worth
+            self._worth.append(np.minimum(worth, above[level.parent]))
         more, less = [], []
-        for above, below in zip(self._levels, self._levels[1:], strict=False):
-            more.append(np.bincount(below.parent, minlength=len(above.first)) - 1)
-            less.append(above.spread - np.bincount(below.parent, below.spread, len(above.first)))
-        flat = np.concatenate(worth)
+        for level, below in zip(self._levels, self._levels[1:], strict=False):
+            more.append(np.bincount(below.parent, minlength=len(level.first)) - 1)
+            less.append(level.spread - np.bincount(below.parent, below.spread, len(level.first)))
+        flat = np.concatenate(self._worth)
         order = np.argsort(-flat, kind="stable")
         self._ranked = flat[order]
         roots = self._levels[0]

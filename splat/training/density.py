@@ -164,7 +164,11 @@ def too_large(layer: Layer, light: SurfaceLight, views: list[TrainingView]) -> t
     gaussians = layer.gaussians
     perceived = (0.5 + SH_DC * gaussians.sh[0]).clamp(0, _WHITE).mean(dim=0)
     uneven = light.unevenness(gaussians.means, layer.semantic) * perceived**2
-    largest = torch.maximum(_ERROR**2 / uneven.clamp(min=1e-20), _smallest(gaussians.means, views))
+    eyes = torch.from_numpy(np.stack([view.camera.position for view in views])).float()
+    distance = torch.cdist(gaussians.means.T, eyes).median(dim=1).values
+    # The smallest standard deviation that is worth splitting for.
+    smallest = _SMALLEST * distance / float(np.median([view.camera.fy for view in views]))
+    largest = torch.maximum(_ERROR**2 / uneven.clamp(min=1e-20), smallest)
     excess = gaussians.log_scales.max(dim=0).values - largest.log()
     found = (excess > np.log(_MARGIN)) & (layer.semantic < 0)
     most = int(_MOST * len(layer))
@@ -172,14 +176,6 @@ def too_large(layer: Layer, light: SurfaceLight, views: list[TrainingView]) -> t
         excess[~found] = -torch.inf
         found = torch.zeros_like(found).index_fill(0, excess.topk(most).indices, True)
     return found
-
-
-def _smallest(means: torch.Tensor, views: list[TrainingView]) -> torch.Tensor:
-    """(N,) smallest standard deviation that is worth splitting for."""
-    eyes = torch.from_numpy(np.stack([view.camera.position for view in views])).float()
-    focal = float(np.median([view.camera.fy for view in views]))
-    distance = torch.cdist(means.T, eyes).median(dim=1).values
-    return _SMALLEST * distance / focal
 
 
 def halves(layer: Layer) -> Layer:

@@ -23,7 +23,6 @@ from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance
 from splat.model.points import Floats
 from splat.raster.differentiable import render_differentiable
-from splat.raster.projection import PIXEL_FILTER
 from splat.training.training_view import TrainingView, reduced
 
 # Pixels, about, of the reduced views that are compared.
@@ -247,7 +246,7 @@ def measured(arrays: Arrays, gaussians: Gaussians, view: TrainingView) -> Traini
     sh = ((perceptual_from_radiance(values) - 0.5) / SH_DC)[None]
     shown = replace(gaussians.select(here), sh=sh, directional=None)
     with torch.no_grad():
-        image = render_differentiable(arrays, shown, view.camera, PIXEL_FILTER).numpy()
+        image = render_differentiable(arrays, shown, view.camera).numpy()
     total, coverage = image[..., 0] * float(unit), image[..., 1]
     known = (coverage > _COVERED) & (view.distance < view.sky)
     found = np.where(known, total / np.maximum(coverage, _COVERED), view.distance)

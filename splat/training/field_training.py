@@ -69,19 +69,15 @@ def register(motion: LearnedMotion, views: Sequence[TrainingView], steps: int, s
         adam.param_groups[0]["lr"] = rate * _COOLED ** (step / steps)
         view, cloud = frames[int(rng.integers(len(frames)))]
         adam.zero_grad(set_to_none=True)
-        _loss(points + motion.field(points.T, view.time).shifts.T, anchors, view.camera, cloud).backward()
+        shown = points + motion.field(points.T, view.time).shifts.T
+        # How far all anchors are from what a frame sees, and from as rigid as possible.
+        parts = [_strain(shown, one) for one in anchors.values()]
+        for of, seen in cloud.items():
+            parts.append(_distance(seen, shown[anchors[of].index], anchors[of], view.camera))
+        torch.stack(parts).sum().backward()
         adam.step()
     adam.zero_grad(set_to_none=True)
     motion.anchor(points.T, instance)
-
-
-def _loss(
-    shown: torch.Tensor, anchors: dict[int, _Anchors], camera: Camera, cloud: dict[int, torch.Tensor]
-) -> torch.Tensor:
-    """How far all anchors, as shown (A, 3), are from what a frame sees, and from as rigid as possible."""
-    parts = [_strain(shown, one) for one in anchors.values()]
-    parts += [_distance(seen, shown[anchors[of].index], anchors[of], camera) for of, seen in cloud.items()]
-    return torch.stack(parts).sum()
 
 
 def _clouds(

@@ -44,9 +44,8 @@ class Adam:
         self.second_moments.scatter_(1, everywhere, second)
         deviation = second.sqrt_().mul_(_share_seen(_SECOND_DECAY, steps).rsqrt_()).add_(_LEAST)
         move = first.mul_(rates / _share_seen(_FIRST_DECAY, steps))
-        self.values.scatter_(
-            1, everywhere, self.values.index_select(1, index).addcdiv_(move, deviation, value=-1)
-        )
+        moved = self.values.index_select(1, index).addcdiv_(move, deviation, value=-1)
+        self.values.scatter_(1, everywhere, moved)
 
     def remember(self, former: Adam, now: torch.Tensor, before: torch.Tensor) -> None:
         """Columns at an index (M,) go on with the moments of those that were at another one (M,)."""
@@ -137,19 +136,16 @@ class GaussianOptimizer:
         turning = _gradient(self._leaves.directional.sh)
         if not _are_finite(loss.detach(), gradient, turning):
             return False
-        rates = self._rates(progress).repeat(1, len(self._chosen))
+        # One of each row that all Gaussians have.
+        means = tuple(self._pixel * rate for rate in _MEANS)
+        rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
+        rates = self._between(rows, progress).repeat(1, len(self._chosen))
         # The unit is the size of a pixel at the median distance; far away a pixel is larger.
         # Lengths of vectors whose numbers lie side by side take a tenth of the time.
         rates[:3] *= remoteness(self._leaves.means.detach().T.contiguous().T)
         self._all.step(self._chosen, gradient, rates)
         self._turning.step(self._chosen_turning, turning, self._between([_DIRECTIONAL], progress))
         return True
-
-    def _rates(self, progress: float) -> torch.Tensor:
-        """(R, 1) learning rate of each row that all Gaussians have."""
-        means = tuple(self._pixel * rate for rate in _MEANS)
-        rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
-        return self._between(rows, progress)
 
     def _between(self, rows: list[tuple[float, ...]], progress: float) -> torch.Tensor:
         """(R, 1) learning rates between those at the start and at the end, on a logarithmic scale."""

@@ -41,6 +41,15 @@ class Axis:
     is_horizontal: bool  # whether the lines are rows
     padding: int  # pixels of zeros that are added at both ends of each line first
 
+    @staticmethod
+    def over(lines: int, length: int, is_horizontal: bool) -> Axis:
+        """Over the valid region of an image of so many rows, or columns, of that length."""
+        return Axis(lines, length, length - TAPS + 1, is_horizontal, 0)
+
+    def transposed(self) -> Axis:
+        """What takes derivatives by the results to derivatives by the pixels: the window is symmetric."""
+        return Axis(self.lines, self.after, self.before, self.is_horizontal, TAPS - 1)
+
     @property
     def runs(self) -> int:
         """Lanes per line."""
@@ -52,21 +61,6 @@ class Axis:
         The same kernels serve images of all sizes.
         """
         return [arrays.constant(n) for n in (self.before, self.after, self.runs, self.lines * CHANNELS)]
-
-
-def across(width: int, height: int) -> Axis:
-    """Along the rows of an image, over the valid region."""
-    return Axis(height, width, width - TAPS + 1, True, 0)
-
-
-def down(width: int, height: int) -> Axis:
-    """Along the columns of an image, over the valid region."""
-    return Axis(width, height, height - TAPS + 1, False, 0)
-
-
-def transposed(axis: Axis) -> Axis:
-    """What takes derivatives by the results to derivatives by the pixels: the window is symmetric."""
-    return Axis(axis.lines, axis.after, axis.before, axis.is_horizontal, TAPS - 1)
 
 
 def blur(
@@ -149,8 +143,7 @@ class FrameTarget:
 
         The second result is the absolute error per pixel (H, W), which has no gradient.
         """
-        loss, error = _Loss.apply(self, rendered)
-        return loss, error
+        return _Loss.apply(self, rendered)
 
     def loss_and_gradient(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Loss, error per pixel (H, W), and the derivative of the loss by the radiance (H, W, 3)."""
@@ -172,8 +165,8 @@ class FrameTarget:
 
 def _axes(width: int, height: int) -> list[Axis]:
     """Where the window moves: over the image, and back over the derivatives by its means."""
-    there = [across(width, height), down(width - TAPS + 1, height)]
-    return [*there, *map(transposed, reversed(there))]
+    there = [Axis.over(height, width, True), Axis.over(width - TAPS + 1, height, False)]
+    return [*there, *(axis.transposed() for axis in reversed(there))]
 
 
 @lru_cache(maxsize=16)

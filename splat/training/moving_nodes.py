@@ -14,7 +14,7 @@ from compose.base.arrays import Arrays
 from splat.model.gaussians import Gaussians, written
 from splat.model.layer import BACKGROUND, Layer
 from splat.model.motion import Dynamics
-from splat.raster.visibility import contributions
+from splat.raster.differentiable import contributions
 from splat.training.training_view import TrainingView
 
 # Part of the distance, beside its own size, by which a node may be off a surface.
@@ -32,8 +32,7 @@ class Attachment:
         position, self._inside = view.camera.shows(self._means)
         self._column, self._row = np.where(self._inside[:, None], position, 0).astype(np.int64).T
         self._distance = np.linalg.norm(self._means - view.camera.position, axis=1)
-        extent = shown.longest.double().numpy()
-        self._off = extent + _OFF * self._distance
+        self._off = shown.longest.double().numpy() + _OFF * self._distance
         self._slope = _slope(view.distance)
 
     def on(self, labels: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -70,20 +69,19 @@ class Attachment:
 def _slope(distance: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W) by how much distances change from a pixel to the next row and column, on the flatter sides."""
     total = np.zeros_like(distance)
+    beyond = np.float32(np.nan)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
-            step = np.abs(np.diff(distance, axis=axis))
-        step = np.where(np.isfinite(step), step, np.inf)
-        beyond = np.full_like(np.take(distance, [0], axis), np.inf)
-        before, after = (np.concatenate(part, axis) for part in ([beyond, step], [step, beyond]))
+            steps = np.diff(distance, axis=axis, prepend=beyond), np.diff(distance, axis=axis, append=beyond)
+        before, after = (np.where(np.isfinite(step), np.abs(step), np.inf) for step in steps)
         total += np.minimum(before, after)
     return np.where(np.isfinite(total), total, 0).astype(np.float32)
 
 
 # Share of what a node contributes that must be to moving pixels for it to be dynamic, as in the paper.
 _DYNAMIC = 0.5
-# Pixels that a node must contribute in all for its labels to be changed.
-_LEAST_PIXELS = 0.5
+# Pixels that a node must contribute in all for its labels to be changed; with less, no view shows it at all.
+LEAST_PIXELS = 0.5
 
 
 @dataclass(frozen=True)
@@ -96,11 +94,6 @@ class Evidence:
     times: torch.Tensor
     seen: torch.Tensor  # (N,) pixels in all, whatever surface they are on
     offsets: torch.Tensor  # (N, 3) mean ways to the surfaces of the background that views see there
-
-    @property
-    def is_seen(self) -> torch.Tensor:
-        """(N,) whether views show nodes at all."""
-        return self.seen >= _LEAST_PIXELS
 
 
 def evidence_of(
@@ -146,7 +139,7 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
     """
     # Pixels of what nodes are on the surface of.
     total = evidence.sums.sum(dim=1)
-    known = total >= _LEAST_PIXELS
+    known = total >= LEAST_PIXELS
     moves = evidence.sums[:, 1:].sum(dim=1) / total.clamp(min=1e-12) > _DYNAMIC
     best = evidence.sums[:, 1:].argmax(dim=1).int()
     semantic = torch.where(moves, best, BACKGROUND).int()

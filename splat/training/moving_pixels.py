@@ -128,13 +128,12 @@ def _compare(frame: Observation, other: Observation, changed: _Votes, compared: 
     (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
     corners = (top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)
     weights = (1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y
-    inverse = sum(weight * other.inverse_depth[at] for weight, at in zip(weights, corners, strict=True))
+    around = list(zip(weights, corners, strict=True))
+    inverse = sum(weight * other.inverse_depth[at] for weight, at in around)
     seen = np.zeros(shape, dtype=np.float32)
     seen.ravel()[pixels] = np.abs(inverse * depth - 1) < _TOLERANCE
     warped = np.zeros((*shape, 3), dtype=np.float32)
-    warped.reshape(-1, 3)[pixels] = sum(
-        weight[:, None] * other.appearance[at] for weight, at in zip(weights, corners, strict=True)
-    )
+    warped.reshape(-1, 3)[pixels] = sum(weight[:, None] * other.appearance[at] for weight, at in around)
     is_albedo = frame.albedo is not None and other.albedo is not None
     tells, differs = _difference(frame.appearance, warped, seen, is_albedo)
     compared += tells

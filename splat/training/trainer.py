@@ -152,13 +152,11 @@ class Trainer:
         focal = finest_focal(views) / _ABOUT_AS_FINE
         self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
         self._alone = _ALONE if start is None else _ALONE_AGAIN
-        steps = self._scheduled()
-        images = [at_resolution(views, settings.layers - 1 - index) for index in range(settings.layers)]
         further = self.motion, self.light, settings.all_harmonics
-        self._layers = [
-            LayerTraining(arrays, images[index], count, [settings.seed, index], *further)
-            for index, count in enumerate(steps)
-        ]
+        self._layers: list[LayerTraining] = []
+        for index, steps in enumerate(self._scheduled()):
+            images = at_resolution(views, settings.layers - 1 - index)
+            self._layers.append(LayerTraining(arrays, images, steps, [settings.seed, index], *further))
         self.iteration = 0
         rng = np.random.default_rng([settings.seed, 0])
         if start is None:
@@ -216,7 +214,11 @@ class Trainer:
         """Trains the scheduled layer by one step, and keeps the trees up with it."""
         index = int(self._schedule[self.iteration])
         if index < len(self._layers) - 1 and not self._layers[index].begun:
-            self._build()
+            # Over the finest layer as it is now; the training of the others begins.
+            *others, finest = self.forest()
+            self._layers[-1].extend(finest)
+            for training, layer in zip(self._layers[:-1], others, strict=True):
+                training.begin(layer, len(layer))
         if self.iteration == self._settling:
             for number, training in enumerate(self._layers):
                 if training.begun:
@@ -240,13 +242,6 @@ class Trainer:
             known = parent != NO_PARENT
             parent[known] = moved[parent[known].long()]
             below.extend(replace(below.layer, parent=parent))
-
-    def _build(self) -> None:
-        """Builds the forest over the finest layer as it is now, and begins training the others."""
-        forest = build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
-        self._layers[-1].extend(forest[-1])
-        for training, layer in zip(self._layers[:-1], forest[:-1], strict=True):
-            training.begin(layer, len(layer))
 
     def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Everything that the next step depends on: tensors, and numbers."""

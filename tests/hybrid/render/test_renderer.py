@@ -22,14 +22,14 @@ from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
-from splat.raster.differentiable import parameters_from
-from splat.raster.projection import project
+from splat.raster.projection import camera_numbers, project
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
 from tests import small
 from tests.compose.arrays_of import host, numbers
 from tests.hybrid.forests import white_dot
 from tests.hybrid.render.passes import waits
+from tests.splat.raster.splats import parameters_from
 
 pytestmark = pytest.mark.usefixtures("backend")
 RAW = FrameSettings(fov_a=40, fov_b=20, spp=1, fovea="raw", acuity_model="none")
@@ -197,7 +197,7 @@ def test_one_point_lies_in_one_pixel_for_all(arrays, scene):
     back, _ = camera_from_json(camera_to_json(camera)).project(point)
     np.testing.assert_allclose(back, expected, atol=1e-6)
     forest = white_dot((0.2, 0.1, 1.0), camera.fy)
-    splats = project(parameters_from(arrays, forest.finest), camera, 0.1)
+    splats = project(parameters_from(arrays, forest.finest), camera_numbers(arrays, camera), 0.1)
     np.testing.assert_allclose([splats.x[0], splats.y[0]], expected[0], atol=1e-3)
     image = ForestRenderer(arrays, forest).render_layer(camera, 1).numpy()[..., 0]
     y, x = np.mgrid[0:48, 0:64] + 0.5

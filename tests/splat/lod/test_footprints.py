@@ -12,9 +12,9 @@ import torch
 from splat.lod.footprints import ForestFootprints
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
-from splat.raster.differentiable import parameters_from
-from splat.raster.projection import PIXEL_FILTER, footprints
+from splat.raster.projection import PIXEL_FILTER, camera_numbers, footprints
 from tests.splat.lod.views import frame_camera, small_forest
+from tests.splat.raster.splats import parameters_from
 from tests.splat.samples import gaussians
 
 FIELDS = ("x", "y", "xx", "xy", "yy", "conditional", "opacity", "red", "green", "blue", "depth")
@@ -29,7 +29,7 @@ def spread_forest(degree: int) -> Forest:
 
 def projected(arrays, forest: Forest, camera) -> dict[str, np.ndarray]:
     """All nodes of the finest layer, in the forest's order."""
-    raw = footprints(parameters_from(arrays, forest.finest), camera)
+    raw = footprints(parameters_from(arrays, forest.finest), camera_numbers(arrays, camera))
     return {name: dr.detach(getattr(raw, name), preserve_type=False).numpy() for name in FIELDS}
 
 

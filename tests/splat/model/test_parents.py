@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from splat.model.layer import Layer, static_layer
-from splat.model.points import means_of, z_curve_order
+from splat.model.points import rows_of, z_curve_order
 from splat.model.trees import label_codes, with_parents
 from tests.splat.samples import spheres
 
@@ -26,9 +26,9 @@ def cloud(n: int, seed: int) -> Layer:
 
 def searched(below: Layer, above: Layer, tries: int) -> np.ndarray:
     """The parents, chosen by measuring every distance for every child."""
-    parents, room = list(means_of(above.gaussians)), [2] * len(above)
+    parents, room = list(rows_of(above.gaussians.means)), [2] * len(above)
     result = np.empty(len(below), dtype=int)
-    centres = means_of(below.gaussians)
+    centres = rows_of(below.gaussians.means)
     for child in z_curve_order(centres):
         distances = np.linalg.norm(np.array(parents) - centres[child], axis=1)
         nearest = [k for k in np.argsort(distances, kind="stable")[:tries] if room[k]]

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from splat.model.gaussians import perceptual_from_radiance
-from splat.raster.harmonics import radiance_from_perceptual
+from splat.raster.projection import radiance_from_perceptual
 
 
 def test_the_curve_and_that_of_the_kernels_are_each_others_inverse(arrays):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from splat.model.points import means_of, quaternions_xyzw, rows_of
+from splat.model.points import quaternions_xyzw, rows_of
 from tests.splat.samples import gaussians
 
 
@@ -17,8 +17,8 @@ def test_rows_are_one_per_gaussian():
 
 def test_means_are_points():
     g = gaussians(n=4)
-    assert means_of(g).shape == (4, 3)
-    np.testing.assert_array_equal(means_of(g)[2], g.means[:, 2].numpy())
+    assert rows_of(g.means).shape == (4, 3)
+    np.testing.assert_array_equal(rows_of(g.means)[2], g.means[:, 2].numpy())
 
 
 def test_quaternions_are_in_scipys_order():

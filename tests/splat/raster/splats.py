@@ -7,12 +7,18 @@ import numpy as np
 import torch
 
 from splat.raster.binning import Bins, Candidates, TileBounds, boxed, depth_order
-from splat.raster.blending import gradients_from_sums, rasterize, sums_of_bins
-from splat.raster.projection import Splats
+from splat.raster.blending import ImageSplit, gradients_from_sums, rasterize, sums_of_bins
+from splat.raster.differentiable import aligned_rows, parameters_of
+from splat.raster.projection import Parameters, Splats
 from splat.raster.tiles import TileGrid
 from tests.splat.raster import reference
 
 NAMES = ("x", "y", "x_precision", "shear", "y_precision", "opacity", "red", "green", "blue", "depth")
+
+
+def parameters_from(arrays, gaussians) -> Parameters:
+    """The Gaussians' rows as kernels read them."""
+    return parameters_of(aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()]))
 
 
 def round_splats(arrays, rows: list[tuple[float, ...]]) -> Splats:
@@ -99,9 +105,10 @@ def bin_splats(*given, **settings) -> Bins:
     return candidates.bins(candidates.runs(candidates.whole))
 
 
-def rasterized(arrays, splats: Splats, bins: Bins, *given) -> list:
-    """Images of splats from the lists of all tiles at once."""
-    return rasterize(arrays, blended_records(arrays, splats), bins, *given)
+def rasterized(arrays, splats: Splats, bins: Bins, heights: list[int] | None = None) -> list:
+    """Images of so many rows of tiles, or one of all, from the lists of all tiles at once."""
+    split = ImageSplit.of(arrays, bins.grid, heights or [bins.grid.rows])
+    return rasterize(arrays, blended_records(arrays, splats), bins, split)
 
 
 def blended_records(arrays, splats: Splats):

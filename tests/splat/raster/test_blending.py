@@ -44,7 +44,7 @@ def test_images_above_each_other_are_drawn_apart(arrays, heights):
     splats, wanted = random_splats(arrays, 150, 90, 70), np.ones((GRID.rows, GRID.columns), dtype=bool)
     wanted[2, 1:4] = False
     whole = image_of(arrays, splats, GRID, wanted)
-    images = rasterized(arrays, splats, bin_splats(arrays, splats, GRID, wanted), None, heights)
+    images = rasterized(arrays, splats, bin_splats(arrays, splats, GRID, wanted), heights)
     rows = [image.numpy().reshape(-1, GRID.padded_width, CHANNELS) for image in images]
     assert [len(part) for part in rows] == [height * GRID.side for height in heights]
     np.testing.assert_array_equal(np.concatenate(rows), whole)

@@ -13,7 +13,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from splat.model.gaussians import Gaussians
 from splat.raster import differentiable
-from splat.raster.differentiable import aligned_rows, parameters_from, render, render_differentiable
+from splat.raster.differentiable import aligned_rows, render, render_differentiable
 from tests.splat.raster import reference
 from tests.splat.samples import KINDS, camera, gaussians, leaves_of, white_dot
 
@@ -151,17 +151,17 @@ def test_nothing_to_draw_is_black_and_has_zero_gradients(arrays):
 def test_rows_lie_in_the_order_of_the_tensors(arrays):
     """The gradient's rows are put back in this order."""
     g = gaussians(n=4, degree=1)
-    rows = [row.numpy() for row in parameters_from(arrays, g).leaves()]
-    tensors = torch.cat([tensor.reshape(-1, 4) for _, tensor in g.tensors()])
-    np.testing.assert_array_equal(rows, tensors.numpy())
+    tensors = [tensor for _, tensor in g.tensors()]
+    rows = [row.numpy() for row in aligned_rows(arrays, tensors)]
+    np.testing.assert_array_equal(rows, torch.cat([tensor.reshape(-1, 4) for tensor in tensors]).numpy())
 
 
 @pytest.mark.parametrize("n", [1, 16, 23])
 def test_rows_start_where_vectors_are_aligned(arrays, n):
     """Whatever their number: the same kernels serve all."""
-    leaves = parameters_from(arrays, gaussians(n=n, degree=1)).leaves()
-    addresses = [arrays.to_torch(row, torch.device("cpu")).data_ptr() for row in leaves]
-    assert [address % 64 for address in addresses] == [0] * len(leaves)
+    rows = aligned_rows(arrays, [tensor for _, tensor in gaussians(n=n, degree=1).tensors()])
+    addresses = [arrays.to_torch(row, torch.device("cpu")).data_ptr() for row in rows]
+    assert [address % 64 for address in addresses] == [0] * len(rows)
 
 
 @pytest.mark.parametrize(("n", "shared"), [(32, True), (23, False)])

@@ -11,13 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, concatenated
-from splat.raster.differentiable import parameters_from, render_differentiable
-from splat.raster.harmonics import LARGEST_RADIANCE
-from splat.raster.projection import project
+from splat.raster.differentiable import render_differentiable
+from splat.raster.projection import LARGEST_RADIANCE, camera_numbers, project
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme
 from tests.splat.raster import reference
-from tests.splat.raster.splats import bin_splats
+from tests.splat.raster.splats import bin_splats, parameters_from
 from tests.splat.samples import leaves_of
 
 # (w, x, y, z): 45 degrees about the view axis, and askew to all axes.
@@ -372,7 +371,7 @@ def test_a_needle_keeps_its_extent(each_arrays, got, deviation):
     side = 20_480
     camera = Camera(np.eye(4), side, side, 1e3, 1e3, side / 2, side / 2)
     needle = one(log_scale=np.log([deviation / 250, 1e-4, 1e-4]), rotation=DIAGONAL, logit=3.0)
-    projected = project(parameters_from(each_arrays, needle), camera, 0.1).detached()
+    projected = project(parameters_from(each_arrays, needle), camera_numbers(each_arrays, camera), 0.1)
     bins = bin_splats(each_arrays, projected, TileGrid(side, side))
     start, end = bins.lists.ranges.numpy().reshape(-1, 2)[:-1].T
     columns = bins.tiles.numpy()[end > start] % bins.grid.columns

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import factorial, lpmv
 
-from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual
+from splat.raster.projection import perceptual_radiance, radiance_from_perceptual
 
 
 def basis(arrays, directions: np.ndarray) -> np.ndarray:

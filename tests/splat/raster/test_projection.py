@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from compose.camera.camera import Camera
-from splat.raster.differentiable import parameters_from
-from splat.raster.projection import NEAR, Splats, footprints, project, view_position
+from splat.raster.projection import NEAR, Splats, camera_numbers, footprints, project, view_position
 from tests.splat.raster import reference
-from tests.splat.raster.splats import inverse_covariance
+from tests.splat.raster.splats import inverse_covariance, parameters_from
 from tests.splat.samples import KINDS, camera, gaussians, white_dot
 
 
@@ -26,11 +25,11 @@ def test_a_round_gaussian_on_the_axis_has_the_closed_form(arrays):
     """Standard deviation 0.5 at depth 4 with f 40 and 60: 5 and 7.5 px. A low-pass of 0.3 is added to 25 and
     56.25 px^2, and the opacity falls by the square root of the ratio of the determinants."""
     cam = Camera(np.eye(4), 33, 35, 40.0, 60.0, 16.5, 17.5)
-    raw = footprints(parameters_from(arrays, white_dot(4.0, 0.5)), cam)
+    raw = footprints(parameters_from(arrays, white_dot(4.0, 0.5)), camera_numbers(arrays, cam))
     for name, value in (("x", 16.5), ("y", 17.5), ("xx", 25), ("xy", 0), ("yy", 56.25), ("depth", 4)):
         assert numbers(raw, name)[0] == pytest.approx(value, abs=1e-5), name
     assert numbers(raw, "conditional")[0] * numbers(raw, "yy")[0] == pytest.approx(25 * 56.25, rel=1e-5)
-    splats = project(parameters_from(arrays, white_dot(4.0, 0.5)), cam, 0.3)
+    splats = project(parameters_from(arrays, white_dot(4.0, 0.5)), camera_numbers(arrays, cam), 0.3)
     assert numbers(splats, "xx")[0] == pytest.approx(1 / 25.3, rel=1e-5)
     assert numbers(splats, "yy")[0] == pytest.approx(1 / 56.55, rel=1e-5)
     expected = 0.5 * np.sqrt(25 * 56.25 / (25.3 * 56.55))
@@ -43,7 +42,7 @@ def test_a_gaussian_seen_edge_on_keeps_half_a_percent(arrays):
     edge = white_dot(4.0, 0.5)
     edge.log_scales[1] = -20.0
     cam = Camera(np.eye(4), 33, 33, 40.0, 40.0, 16.5, 16.5)
-    splats = project(parameters_from(arrays, edge), cam, 0.1)
+    splats = project(parameters_from(arrays, edge), camera_numbers(arrays, cam), 0.1)
     assert numbers(splats, "opacity")[0] == pytest.approx(0.5 * 0.005, rel=1e-5)
 
 
@@ -53,7 +52,7 @@ def test_a_disc_on_a_wall_beside_the_viewer_is_outside_where_its_ellipsoid_is(ar
     disc = white_dot(0.1, 0.2)
     disc.means[0], disc.log_scales[0] = -0.5, np.log(0.005)
     cam = Camera(np.eye(4), 40, 40, 40.0, 40.0, 20.0, 20.0)
-    raw = footprints(parameters_from(arrays, disc), cam)
+    raw = footprints(parameters_from(arrays, disc), camera_numbers(arrays, cam))
     deviation = np.hypot(0.005, 0.5 * 0.2)
     assert numbers(raw, "x")[0] / np.sqrt(numbers(raw, "xx")[0]) == pytest.approx(-0.45 / deviation, rel=1e-4)
     assert numbers(raw, "x")[0] + 3.33 * np.sqrt(numbers(raw, "xx")[0]) < 0
@@ -61,10 +60,10 @@ def test_a_disc_on_a_wall_beside_the_viewer_is_outside_where_its_ellipsoid_is(ar
 
 def test_a_low_pass_may_differ_per_gaussian(arrays):
     g, cam = gaussians(n=2), camera()
-    parameters = parameters_from(arrays, g)
-    both = project(parameters, cam, arrays.ad.Float([0.1, 30.0]))
+    parameters, view = parameters_from(arrays, g), camera_numbers(arrays, cam)
+    both = project(parameters, view, arrays.plain.Float([0.1, 30.0]))
     for k, low_pass in enumerate((0.1, 30.0)):
-        alone = project(parameters, cam, low_pass)
+        alone = project(parameters, view, low_pass)
         for name in ("xx", "xy", "yy", "opacity"):
             assert numbers(both, name)[k] == numbers(alone, name)[k], name
 
@@ -72,7 +71,7 @@ def test_a_low_pass_may_differ_per_gaussian(arrays):
 @pytest.mark.parametrize("kind", KINDS)
 def test_splats_equal_their_twin(arrays, kind):
     g, cam = gaussians(kind), camera()
-    splats = project(parameters_from(arrays, g), cam, 0.1)
+    splats = project(parameters_from(arrays, g), camera_numbers(arrays, cam), 0.1)
     twin = reference.project(reference.double(g), cam, 0.1)
     seen = twin["depth"].numpy() > NEAR
     expected = {
@@ -95,7 +94,7 @@ def test_splats_equal_their_twin(arrays, kind):
 def test_gaussians_nearer_than_the_near_plane_are_not_seen(arrays):
     cam = Camera(np.eye(4), 32, 32, 30.0, 30.0, 16.0, 16.0)
     for depth, seen in ((-1.0, False), (0.0, False), (0.9 * NEAR, False), (1.1 * NEAR, True), (1.0, True)):
-        splats = project(parameters_from(arrays, white_dot(depth, 0.1)), cam, 0.1)
+        splats = project(parameters_from(arrays, white_dot(depth, 0.1)), camera_numbers(arrays, cam), 0.1)
         assert (numbers(splats, "opacity")[0] > 0) == seen, depth
 
 
@@ -115,7 +114,7 @@ def test_no_footprint_is_larger_than_the_bound(arrays, kind):
     """Pixels per unit of length, times the longest axis, bounds the footprint's standard deviation."""
     g, cam = gaussians(kind, n=300), camera()
     seen, _, _, spread = view_position(arrays, [arrays.plain.Float(row) for row in g.means], cam)
-    raw = footprints(parameters_from(arrays, g), cam)
+    raw = footprints(parameters_from(arrays, g), camera_numbers(arrays, cam))
     xx, xy, yy = (numbers(raw, name).astype(np.float64) for name in ("xx", "xy", "yy"))
     largest = np.sqrt((xx + yy) / 2 + np.sqrt(((xx - yy) / 2) ** 2 + xy**2))
     bound = spread.numpy() * torch.exp(g.log_scales.max(dim=0).values).numpy()
@@ -132,7 +131,7 @@ def test_no_footprint_is_larger_than_the_bound(arrays, kind):
 def test_cameras_share_kernels(arrays):
     """Numbers of the camera are read from memory: another camera compiles nothing."""
     g = gaussians(n=20, degree=0)
-    run = lambda cam: dr.eval(project(parameters_from(arrays, g), cam, 0.1).__dict__)  # noqa: E731
+    run = lambda cam: dr.eval(project(parameters_from(arrays, g), camera_numbers(arrays, cam), 0.1).__dict__)  # noqa: E731
     run(camera())
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from splat.model.gaussians import Gaussians
+from splat.raster.differentiable import contributions
 from splat.raster.projection import PIXEL_FILTER
-from splat.raster.visibility import contributions
 from tests.splat.raster import reference
 from tests.splat.samples import KINDS, camera, gaussians
 

@@ -10,7 +10,7 @@ import torch
 
 from splat.model.gaussians import SH_DC
 from splat.model.motion import NodeMotion
-from splat.raster.harmonics import radiance_from_perceptual
+from splat.raster.projection import radiance_from_perceptual
 from splat.training import initialization
 from splat.training.initialization import hits_of, seed_at, seed_from_views
 from tests.splat.raster.reference import rotation_matrix

@@ -11,11 +11,10 @@ import torch
 from compose.camera.camera import camera_from_pose
 from splat.model.forest import forest_of
 from splat.model.gaussians import SH_LINEAR, Gaussians, apart
-from splat.raster.differentiable import render_differentiable
-from splat.raster.visibility import contributions
+from splat.raster.differentiable import contributions, render_differentiable
+from splat.training.layer_training import turning_as_nearest, turning_of, without_unseen_turning
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
-from splat.training.view_dependence import turning_as_nearest, turning_of, without_unseen_turning
 from tests.splat.training.frames import SIZE, made, pose
 
 EYES = np.linspace(-0.6, 0.6, 7)

@@ -8,8 +8,7 @@ import torch
 
 from compose.camera.camera import camera_from_pose
 from splat.model.gaussians import Gaussians
-from splat.raster.differentiable import render_differentiable
-from splat.raster.visibility import visible
+from splat.raster.differentiable import render_differentiable, visible
 from tests.splat.samples import KINDS, camera, gaussians, spheres
 
 

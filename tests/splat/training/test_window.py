@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.training.loss import WEIGHTS, across, blur, down, transposed
+from splat.training.loss import WEIGHTS, Axis, blur
 from tests.splat.training import reference
 
 HEIGHT, WIDTH = 29, 22
@@ -29,18 +29,19 @@ def test_the_window_sums_to_one_and_is_symmetric():
 
 def test_both_axes_together_equal_the_twin(arrays):
     image = np.random.default_rng(0).uniform(size=(HEIGHT, WIDTH, 3))
-    found = moved(arrays, moved(arrays, image, across(WIDTH, HEIGHT)), down(WIDTH - 10, HEIGHT))
+    across, down = Axis.over(HEIGHT, WIDTH, True), Axis.over(WIDTH - 10, HEIGHT, False)
+    found = moved(arrays, moved(arrays, image, across), down)
     expected = reference.blurred(torch.from_numpy(image).permute(2, 0, 1)).permute(1, 2, 0)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("along", [across, down])
-def test_the_transpose_is_one(arrays, along):
+@pytest.mark.parametrize("axis", [Axis.over(HEIGHT, WIDTH, True), Axis.over(WIDTH, HEIGHT, False)])
+def test_the_transpose_is_one(arrays, axis):
     """<window x, y> = <x, transpose y> for any x and y."""
-    axis, rng = along(WIDTH, HEIGHT), np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     x = rng.normal(size=(HEIGHT, WIDTH, 3))
     there = moved(arrays, x, axis)
     y = rng.normal(size=there.shape)
-    back = moved(arrays, y, transposed(axis))
+    back = moved(arrays, y, axis.transposed())
     assert back.shape == x.shape
     assert (there * y).sum() == pytest.approx((x * back).sum(), rel=1e-4)
