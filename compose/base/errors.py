@@ -6,7 +6,6 @@ import operator
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -54,14 +53,13 @@ def require_seed(seed: Any) -> int:
 
 
 def as_plain_numbers(settings: Any) -> None:
-    """Makes numbers of NumPy in a dataclass Python's own, which JSON and checks of types take."""
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        parts = value if isinstance(value, tuple) else (value,)
-        if any(getattr(part, "shape", None) == () for part in parts):
-            plain = tuple(part.item() if getattr(part, "shape", None) == () else part for part in parts)
-            # Of a frozen one, too.
-            object.__setattr__(settings, field.name, plain if isinstance(value, tuple) else plain[0])
+    """Makes numbers of NumPy in an object's attributes Python's own, which JSON and checks of types take."""
+    plain = lambda value: value.item() if getattr(value, "shape", None) == () else value  # noqa: E731
+    for name, value in vars(settings).items():
+        found = tuple(map(plain, value)) if type(value) is tuple else plain(value)
+        if found is not value:
+            # Of a frozen dataclass, too.
+            object.__setattr__(settings, name, found)
 
 
 def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:

@@ -25,7 +25,7 @@ def export_ply(
     from splat.io.ply import save_ply
     from splat.model.points import in_world
 
-    if output.suffix.lower() != ".ply":
+    if output.name and output.suffix.lower() != ".ply":
         raise UserError(f"{output}: must end in .ply, the only format that is written")
     loaded = load_forest(forest)
     layers = loaded.layers

@@ -72,7 +72,7 @@ MISTAKES = {
     "JSON of a bench": (["bench", "raster", "--json", "."], "--json .: cannot be written"),
     "a PLY without a name": (["export", "{made}/box.forest", "."], ".: names a folder"),
     "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
-    "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: element vertex x"),
+    "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: cannot be read (element vertex x"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
     "an unknown backend": (["doctor", "--backend", "metal"], "backend metal"),
     "a layer that is not there": (
