@@ -76,6 +76,12 @@ def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
     return name, digest
 
 
+def scene_name(wanted: str, otherwise: str) -> str:
+    """What is left of a name as that of a scene, for which see `claimed_scene`; `otherwise` if nothing is."""
+    plain = "".join(c if c.isprintable() and c not in "/\\" else "_" for c in wanted).lstrip(".")
+    return plain.encode()[:_LONGEST_NAME].decode(errors="ignore") or otherwise
+
+
 def file_inside(folder: Path, name: Any) -> Path:
     """A file by its name relative to a folder; ValueError if it would lie outside, or is not a file name."""
     is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_PART

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import tempfile
 from pathlib import Path
 
 import platformdirs
@@ -23,8 +24,11 @@ from splat.model.forest import Forest
 
 def home() -> Path:
     """The cache folder; it may not exist yet."""
-    chosen = os.environ.get("HYBRID_HOME")
-    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("hybrid"))
+    if chosen := os.environ.get("HYBRID_HOME"):
+        return Path(chosen)
+    found = Path(platformdirs.user_cache_dir("hybrid"))
+    # Of a user without a home, it would lie in a folder ~ of the working folder.
+    return found if found.is_absolute() else Path(tempfile.gettempdir()) / f"hybrid-{os.getuid()}"
 
 
 def scene_folder(name: str, digest: str) -> Path:

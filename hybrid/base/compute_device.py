@@ -12,12 +12,12 @@ import mitsuba as mi
 import torch
 
 from compose.base.arrays import Arrays
-from pathtrace.scene.backend import require_own_process
+from pathtrace.scene.backend import require_backend
 
 
 def device_arrays() -> Arrays:
     """Array types of the selected backend; requires that this process has called `select_backend`."""
-    require_own_process()
+    require_backend()
     return Arrays("cuda" if str(mi.variant()).startswith("cuda") else "llvm")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 
 import typer
@@ -37,6 +39,12 @@ app.add_typer(bench_app, name="bench")
 
 def main() -> None:
     """Entry point: a user's mistake is one line and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        # Not every locale has all characters.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    # That of a notebook may be set, for which this environment may have no package.
+    os.environ["MPLBACKEND"] = "agg"
     try:
         with messages_as_lines():
             app()

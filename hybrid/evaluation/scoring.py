@@ -5,10 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,7 +71,8 @@ def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tup
     waiting: deque[tuple[str, Future[Rows]]] = deque()
     try:
         for name, task in tasks:
-            waiting.append((name, pool.submit(score, task)))
+            with _program_left_alone():
+                waiting.append((name, pool.submit(score, task)))
             if len(waiting) > 2 * workers:
                 name, rows = waiting.popleft()
                 yield name, rows.result()
@@ -77,6 +80,19 @@ def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tup
             yield name, rows.result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _program_left_alone() -> Iterator[None]:
+    """New processes do not run the user's program again: it may come from the standard input."""
+    main = vars(sys.modules["__main__"])
+    kept = {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    main.pop("__file__", None)
+    main["__spec__"] = None
+    try:
+        yield
+    finally:
+        main.update(kept)
 
 
 def _start_worker() -> None:

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, claimed_scene, file_inside, one_line, reading
+from compose.base.errors import UserError, file_inside, one_line, reading, scene_name
 from compose.base.files import read_json, require_size_below
 from compose.camera.camera import Camera, camera_from_pose
 from compose.camera.coordinate_systems import opencv_from_opengl
@@ -101,15 +101,9 @@ def read_posed_folder(folder: Path) -> PosedFolder:
         )
     if all(image.held_out for image in images):
         raise UserError(f"{folder}: holds no frames to train on")
-    return PosedFolder(folder, layout, _name(folder), _hash(images), images, points, bounds)
-
-
-def _name(folder: Path) -> str:
-    """The folder's name, as far as it can be that of a scene."""
-    try:
-        return claimed_scene(folder.resolve().name.lstrip(".") or _UNNAMED, "")[0]
-    except ValueError:
-        return _UNNAMED
+    return PosedFolder(
+        folder, layout, scene_name(folder.resolve().name, _UNNAMED), _hash(images), images, points, bounds
+    )
 
 
 def _hash(images: list[PosedImage]) -> str:

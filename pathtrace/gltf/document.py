@@ -6,6 +6,7 @@ Specification, 3.6.1, 3.6.2 and 4.4.
 from __future__ import annotations
 
 import functools
+import os
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,13 +61,14 @@ class Document:
 
     def resource(self, uri: str, user: str) -> bytes:
         """What a URI stands for: its own data, or a file in the document's folder; UserError for others."""
-        folder = self.file.parent
+        folder = self.file.parent.absolute()
         try:
             if uri.startswith("data:"):
                 with urlopen(uri) as data:
                     return bytes(data.read())
-            file = (folder / unquote(uri)).resolve()
-            if not file.is_relative_to(folder.resolve()):
+            # By its name: stores of data sets have links where files should be. Windows writes backslashes.
+            file = Path(os.path.normpath(folder / unquote(uri).replace("\\", "/")))
+            if not file.is_relative_to(os.path.normpath(folder)):
                 raise ValueError("lies outside of the folder")
             require_size_below(file, _MOST_BYTES)
             return file.read_bytes()
@@ -120,9 +122,12 @@ def _parts(content: bytes) -> tuple[bytes, bytes | None]:
 
 
 def _without_empty_lists(tree: Any) -> Any:
-    """What the specification forbids and exporters write nevertheless."""
+    """Without what the specification forbids and exporters write nevertheless, empty animations too."""
     if isinstance(tree, dict):
-        return {name: _without_empty_lists(value) for name, value in tree.items() if value != []}
+        kept = {name: _without_empty_lists(value) for name, value in tree.items() if value != []}
+        if isinstance(animations := kept.get("animations"), list):
+            kept["animations"] = [one for one in animations if not isinstance(one, dict) or "channels" in one]
+        return {name: value for name, value in kept.items() if value != []}
     if isinstance(tree, list):
         return [_without_empty_lists(value) for value in tree]
     return tree

@@ -39,19 +39,35 @@ def select_backend(choice: str = "auto") -> Backend:
         UserError: the choice is unknown or not available, or another backend is already in use.
     """
     global _selected, _process
-    require_own_process()
+    _require_own_process()
     if choice not in ("auto", "cuda", "llvm"):
         raise UserError(f"backend {choice}: must be auto, cuda or llvm")
     if _selected is not None:
         wanted = {"cuda": CUDA_VARIANT, "llvm": LLVM_VARIANT, "auto": _selected.variant}[choice]
         if wanted != _selected.variant:
             raise UserError(f"backend {choice}: {_selected.variant} is already in use")
+        import mitsuba as mi
+
+        # Somebody else may have set another one meanwhile.
+        mi.set_variant(_selected.variant)
         return _selected
     _selected, _process = _select(choice), os.getpid()
     return _selected
 
 
-def require_own_process() -> None:
+def require_backend() -> None:
+    """UserError where nothing can be traced: in a fork, or if Mitsuba's variant is another one by now."""
+    _require_own_process()
+    import mitsuba as mi
+
+    if _selected is not None and mi.variant() != _selected.variant:
+        raise UserError(
+            f"Mitsuba's variant is {mi.variant()}, set since the scene was loaded; call "
+            f"mitsuba.set_variant({_selected.variant!r}) before going on"
+        )
+
+
+def _require_own_process() -> None:
     """UserError in a fork of the process that selected the backend: Dr.Jit's threads are not in it."""
     if _process not in (0, os.getpid()):
         raise UserError(

@@ -9,6 +9,7 @@ its picture is 62, 49, 38 and 26 dB from the unscaled one, moved by 10, 100, 1e3
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,8 @@ _SHAPES = ("obj", "ply", "serialized", "cube", "rectangle", "disk", "sphere", "c
 _POINTS = ("point", "spot")
 _CAMERAS = ("perspective", "thinlens")
 _ENDLESS = ("constant", "envmap", "directional", "sunsky", "sun", "sky", BALANCED_SUNSKY)
+# Of scenes whose parameters had other names.
+_OLD = re.compile(r'<scene[^>]* version="([0-2]\.[^"]*)"')
 # Where float32 has this many steps to a power of two.
 _STEPS = 2.0**23
 # Mitsuba's RayEpsilon in float32.
@@ -248,9 +251,13 @@ def _checked(source: Source, load: Callable[[], Any]) -> Any:
         loaded = load() if source.folder is None else _in(source.folder, load)
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        # Mitsuba's first lines name a position in its own code; the last one says what is wrong.
+        # Mitsuba's first lines name a position in its own code; the last ones say what is wrong.
+        said = [line for line in lines if not line.startswith("-")][-1:]
+        said += [line for line in lines if line.startswith("-")]
+        old = isinstance(source.content, str) and _OLD.search(source.content)
+        advice = f" (a scene of Mitsuba {old[1]}: `mitsuba -u FILE` updates it)" if old else ""
         raise UserError(
-            f"{source.name}: Mitsuba refuses the scene: {lines[-1] if lines else error}"
+            f"{source.name}: Mitsuba refuses the scene: {' '.join(said) or error}{advice}"
         ) from error
     if isinstance(loaded, list) or not isinstance(loaded, mi.Scene):
         raise UserError(f"{source.name}: not a complete scene; the top element must be <scene>")

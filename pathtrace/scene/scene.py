@@ -13,7 +13,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
 from pathtrace.scene.loading import (
@@ -214,7 +214,7 @@ def _loaded(
     else:
         is_text = isinstance(source, str) and source.lstrip().startswith("<")
         path = Path("text.xml").absolute() if is_text else scene_file(source)
-        name = path.parent.name if path.stem == "scene" else path.stem
+        name = scene_name(path.parent.name if path.stem == "scene" else path.stem, "scene")
         description = read_description(path, str(source) if is_text else None)
         depth, fingerprint, hides = description.max_depth, description.fingerprint, description.hides_emitters
         content = Source(name if is_text else str(source), description.text, path.parent)

@@ -248,6 +248,10 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
     references = References(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(content, root, references)
+    # Mitsuba would look for them from the working folder.
+    for element in root.iter("path"):
+        if (found := path.parent / element.get("value", "")).is_dir():
+            element.set("value", str(found))
     balance_xml(root)
     return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth, hides)
 

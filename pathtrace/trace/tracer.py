@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
-from pathtrace.scene.backend import require_own_process
+from pathtrace.scene.backend import require_backend
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions, opaque_camera, ray_through
@@ -114,7 +114,7 @@ class Tracer:
         cache: IrradianceCache | None = None,
         most_indirect: float | None = None,
     ):
-        require_own_process()
+        require_backend()
         self.scene = scene
         depth, roulette = scene.max_depth, roulette_depth or scene.roulette_depth
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})

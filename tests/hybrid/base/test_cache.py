@@ -49,6 +49,10 @@ def test_the_cache_folder_is_the_platforms_unless_the_environment_names_one(monk
     for unset in (lambda: monkeypatch.setenv("HYBRID_HOME", ""), lambda: monkeypatch.delenv("HYBRID_HOME")):
         unset()
         assert home() == Path("/caches/hybrid")
+    # As of a user without a home.
+    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
+    assert home().is_absolute()
+    assert home().name == f"hybrid-{os.getuid()}"
 
 
 def test_each_version_of_a_scene_has_a_folder_of_its_own():

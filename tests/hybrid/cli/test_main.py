@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -129,3 +130,15 @@ def test_without_a_command_help_is_shown(monkeypatch, capsys):
     assert run(monkeypatch) == 2
     shown = capsys.readouterr()
     assert "quickstart" in shown.out + shown.err
+
+
+def test_any_locale_and_the_backend_of_a_notebook_do_no_harm(tmp_path):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "MPLBACKEND": "module://of_a_notebook"}
+    program = "from hybrid.cli.main import main; main(); import matplotlib.pyplot"
+    command = [sys.executable, "-c", program, "scenes", "--json", str(tmp_path / "s.json")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    command = [sys.executable, "-c", program, "render", "r\u00f6m", "-o", "a.png"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "no such scene" in done.stderr

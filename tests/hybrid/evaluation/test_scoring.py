@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +94,18 @@ def test_results_come_in_the_order_of_the_tasks_and_errors_are_passed_on():
     assert names == [str(number) for number in range(count)]
     assert psnr == sorted(psnr, reverse=True)
     assert psnr[0] == 120
+
+
+def test_a_program_from_the_standard_input_is_not_run_again():
+    script = """
+print("once")
+from hybrid.evaluation.scoring import scored_in_parallel
+from tests.hybrid.evaluation.test_scoring import task
+print([name for name, rows in scored_in_parallel((name, task(0.1)) for name in "ab") if rows])
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(
+        [sys.executable, "-"], input=script, capture_output=True, text=True, timeout=300, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["once", "['a', 'b']"]

@@ -91,6 +91,22 @@ def test_a_folder_that_is_there_stays_and_so_do_links_to_it(tmp_path, monkeypatc
     assert (tmp_path / "link").is_symlink()
 
 
+def test_files_may_be_links_named_as_windows_does_and_animations_empty(tmp_path):
+    building = Building()
+    still_floor(building)
+    building.add("animations", name="nothing", channels=[], samplers=[])
+    file = building.save(tmp_path / "a.gltf")
+    tree = json.loads(file.read_text())
+    (tmp_path / "store").write_bytes(building.content)
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "data").mkdir()
+    (tmp_path / "scene" / "data" / "a b.bin").symlink_to(tmp_path / "store")
+    tree["buffers"][0]["uri"] = "data\\a%20b.bin"
+    (tmp_path / "scene" / "a.gltf").write_text(json.dumps(tree))
+    found = import_gltf(tmp_path / "scene" / "a.gltf", tmp_path / "out")
+    assert (found.triangles, found.seconds) == (2, 0)
+
+
 @pytest.mark.parametrize(
     ("times", "values", "remark", "starts", "ends"),
     [

@@ -14,6 +14,9 @@ import pytest
 import pathtrace.scene.backend as module
 from compose.base.errors import UserError
 from pathtrace.scene.backend import CUDA_VARIANT, LLVM_VARIANT, select_backend
+from pathtrace.scene.scene import load_scene
+from pathtrace.trace.tracer import Tracer
+from tests import small
 
 
 @pytest.fixture
@@ -114,3 +117,18 @@ print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), Tracer(scene).scene is
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, env=environment)
     assert done.stdout.split() == ["0", "True"]
+
+
+def test_another_variant_is_named_and_put_right_by_loading(backend):
+    scene = load_scene(small.corner())
+    mi.set_variant("scalar_rgb")
+    try:
+        with pytest.raises(
+            UserError, match=rf"variant is scalar_rgb.* mitsuba.set_variant\('{backend.variant}'\)"
+        ):
+            Tracer(scene)
+        assert select_backend() is backend
+        assert mi.variant() == backend.variant
+        assert Tracer(scene).scene is scene
+    finally:
+        mi.set_variant(backend.variant)

@@ -269,6 +269,16 @@ def test_the_search_folders_are_as_before_once_a_scene_is_loaded(backend, tmp_pa
     assert Path(before[0]) == Path(mi.__file__).parent
 
 
+def test_a_search_folder_comes_before_the_working_folder(tmp_path, monkeypatch, backend):
+    content = '<path value="meshes"/>' + MESH.format("m.obj")
+    file = scene(tmp_path / "mine", content, {"meshes/m.obj": OBJ.format(5)})
+    (tmp_path / "m.obj").write_text(OBJ.format(9))
+    monkeypatch.chdir(tmp_path)
+    assert load_scene(file).mitsuba.bbox().max.x == 5
+    monkeypatch.chdir(tmp_path / "mine")
+    assert load_scene("scene.xml").mitsuba.bbox().max.x == 5
+
+
 def test_names_that_no_file_can_have_are_no_candidates(tmp_path):
     file = scene(tmp_path, MESH.format("n" * 5000), {})
     references = References(file, parse_xml(file))

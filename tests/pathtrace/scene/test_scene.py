@@ -144,6 +144,28 @@ print(*(load_scene(name).name for name in bundled_scenes()))
     assert "room" in done.stdout.split()
 
 
+@pytest.mark.parametrize(
+    ("folder", "name"), [(".hidden", "hidden"), ("a\u00a0b", "a_b"), ("...", "scene"), ("b" * 250, "b" * 200)]
+)
+def test_a_folder_of_any_name_gives_a_name(tmp_path, folder, name):
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / "scene.xml").write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER))
+    assert load_scene(tmp_path / folder).name == name
+
+
+def test_a_scene_of_an_old_mitsuba_is_named_with_what_is_wrong(tmp_path):
+    file = tmp_path / "old.xml"
+    shape = (
+        '<shape type="sphere"><bsdf type="conductor"><float name="ext_eta" value="1"/></bsdf></shape></scene>'
+    )
+    text = MINIMAL.format(sensor=SENSOR, emitter=EMITTER).replace("</scene>", shape)
+    file.write_text(text.replace('version="3.0.0"', 'version="0.6.0"'))
+    with pytest.raises(
+        UserError, match=r"conductor.*ext_eta.* \(a scene of Mitsuba 0\.6\.0: `mitsuba -u FILE`"
+    ):
+        load_scene(file)
+
+
 def test_a_link_finds_its_files_beside_it(tmp_path):
     """As hubs keep what was downloaded: links to files in a store."""
     (tmp_path / "store").mkdir()
