@@ -86,7 +86,7 @@ def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tup
 def _program_left_alone() -> Iterator[None]:
     """New processes do not run the user's program again: it may come from the standard input."""
     main = vars(sys.modules["__main__"])
-    kept = {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    kept: dict[str, Any] = {name: main[name] for name in ("__file__", "__spec__") if name in main}
     main.pop("__file__", None)
     main["__spec__"] = None
     try:

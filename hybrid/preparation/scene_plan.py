@@ -135,7 +135,7 @@ def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> Non
         raise UserError(f"{source}: its plan has {MOTION} {planned}, but {scene.name} has {fact}")
 
 
-_VERSION = 3
+_VERSION = 4
 # Of frames where nothing else is asked for.
 DISPLAY, SIZE = "desktop", (1920, 1080)
 

@@ -60,7 +60,7 @@ class WindowBench(QObject):
 
     def _begin(self, shown: ShownFrame) -> None:
         camera, canvas = shown.request.settings.camera, self._window.canvas
-        if camera is None or (camera.width, camera.height) != (canvas.width(), canvas.height()):
+        if camera is None or (camera.width, camera.height) != canvas.pixels:
             # The window has just been laid out; frames of its final size come next.
             return
         canvas.painted.disconnect(self._begin)
@@ -136,8 +136,7 @@ def run_window(
     application.exec()
     if window.error is not None:
         raise window.error
-    size = window.canvas.width(), window.canvas.height()
-    found = figures(window.meter, size, 0.0 if bench is None else bench.start)
+    found = figures(window.meter, window.canvas.pixels, 0.0 if bench is None else bench.start)
     if options.target_fps is not None:
         loaded = None if bench is None else bench.loaded
         found["target"] = steadiness(found["frames"], options.target_fps, loaded)

@@ -25,6 +25,7 @@ class Canvas(QWidget):
     resized = Signal()
 
     def __init__(self, size: QSize):
+        """A canvas that would like to have a size in pixels of the screen."""
         super().__init__()
         self._hint = size
         self._shown: ShownFrame | None = None
@@ -39,7 +40,13 @@ class Canvas(QWidget):
         self.setMinimumSize(160, 120)
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        return self._hint
+        return self._hint / self.devicePixelRatioF()
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height in pixels of the screen, of which a scaled screen has several to one of Qt's."""
+        ratio = self.devicePixelRatioF()
+        return round(self.width() * ratio), round(self.height() * ratio)
 
     def show_frame(self, shown: ShownFrame) -> None:
         """Shows a frame as soon as Qt paints next."""

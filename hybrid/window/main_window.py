@@ -199,7 +199,7 @@ class MainWindow(QMainWindow):
         self.tick()
 
     def _on_settled(self) -> None:
-        self._size = self.canvas.width(), self.canvas.height()
+        self._size = self.canvas.pixels
         self.tick()
 
     def _on_progress(self, activity: str, done: int, total: int) -> None:

@@ -66,8 +66,8 @@ class Document:
             if uri.startswith("data:"):
                 with urlopen(uri) as data:
                     return bytes(data.read())
-            # By its name: stores of data sets have links where files should be. Windows writes backslashes.
-            file = Path(os.path.normpath(folder / unquote(uri).replace("\\", "/")))
+            # By its name: stores of data sets have links where files should be.
+            file = Path(os.path.normpath(folder / unquote(uri)))
             if not file.is_relative_to(os.path.normpath(folder)):
                 raise ValueError("lies outside of the folder")
             require_size_below(file, _MOST_BYTES)
@@ -93,7 +93,7 @@ def read_document(file: Path) -> Document:
             f"{file}: requires the extension {one_line(str(unknown[0]))}, which is not known here"
         )
     try:
-        document = Document(file, _schema()(_without_empty_lists(tree)), [])
+        document = Document(file, _schema()(_mended(tree)), [])
     except fastjsonschema.JsonSchemaException as error:
         raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
     for number, buffer in enumerate(document.section("buffers")):
@@ -121,16 +121,21 @@ def _parts(content: bytes) -> tuple[bytes, bytes | None]:
     return chunks[_JSON], chunks.get(_BINARY)
 
 
-def _without_empty_lists(tree: Any) -> Any:
-    """Without what the specification forbids and exporters write nevertheless, empty animations too."""
-    if isinstance(tree, dict):
-        kept = {name: _without_empty_lists(value) for name, value in tree.items() if value != []}
-        if isinstance(animations := kept.get("animations"), list):
-            kept["animations"] = [one for one in animations if not isinstance(one, dict) or "channels" in one]
-        return {name: value for name, value in kept.items() if value != []}
+def _mended(tree: Any) -> Any:
+    """A tree without what the specification forbids and exporters write nevertheless.
+
+    That is empty lists, animations without channels, and URIs with spaces and the backslashes of Windows.
+    """
     if isinstance(tree, list):
-        return [_without_empty_lists(value) for value in tree]
-    return tree
+        return [_mended(value) for value in tree]
+    if not isinstance(tree, dict):
+        return tree
+    kept = {name: _mended(value) for name, value in tree.items()}
+    if isinstance(animations := kept.get("animations"), list):
+        kept["animations"] = [one for one in animations if not isinstance(one, dict) or "channels" in one]
+    if isinstance(uri := kept.get("uri"), str) and not uri.startswith("data:"):
+        kept["uri"] = uri.replace("\\", "/").replace(" ", "%20")
+    return {name: value for name, value in kept.items() if value != []}
 
 
 @functools.cache

@@ -134,7 +134,15 @@ def test_without_a_command_help_is_shown(monkeypatch, capsys):
 
 def test_any_locale_and_the_backend_of_a_notebook_do_no_harm(tmp_path):
     environment = {**os.environ, "PYTHONIOENCODING": "ascii", "MPLBACKEND": "module://of_a_notebook"}
-    program = "from hybrid.cli.main import main; main(); import matplotlib.pyplot"
+    program = """
+import sys
+from hybrid.cli.main import main
+try:
+    main()
+except SystemExit as end:
+    import matplotlib.pyplot
+    sys.exit(end.code)
+"""
     command = [sys.executable, "-c", program, "scenes", "--json", str(tmp_path / "s.json")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr

@@ -101,7 +101,7 @@ def test_files_may_be_links_named_as_windows_does_and_animations_empty(tmp_path)
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "data").mkdir()
     (tmp_path / "scene" / "data" / "a b.bin").symlink_to(tmp_path / "store")
-    tree["buffers"][0]["uri"] = "data\\a%20b.bin"
+    tree["buffers"][0]["uri"] = "data\\a b.bin"
     (tmp_path / "scene" / "a.gltf").write_text(json.dumps(tree))
     found = import_gltf(tmp_path / "scene" / "a.gltf", tmp_path / "out")
     assert (found.triangles, found.seconds) == (2, 0)

@@ -50,6 +50,14 @@ def test_the_frame_fits_the_canvas_in_its_own_proportions(canvas):
     assert canvas.sizeHint() == QSize(320, 240)
 
 
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0])
+def test_frames_have_the_pixels_of_a_scaled_screen(canvas, monkeypatch, ratio):
+    """Eccentricities are of those: at half of them, they would be half as large."""
+    monkeypatch.setattr(Canvas, "devicePixelRatioF", lambda self: ratio)
+    assert canvas.pixels == (320 * ratio, 240 * ratio)
+    assert canvas.sizeHint() == QSize(320, 240) / ratio
+
+
 def test_before_the_first_frame_it_is_the_whole_canvas(application):
     canvas = Canvas(QSize(320, 240))
     canvas.resize(200, 200)
