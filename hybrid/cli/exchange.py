@@ -1,4 +1,4 @@
-"""`hybrid export` and `hybrid import`: the PLY layout of 3D Gaussian splatting, and glTF scenes."""
+"""`hybrid export` and `hybrid import`: files of 3D Gaussian splatting, and glTF scenes."""
 
 from __future__ import annotations
 
@@ -12,34 +12,42 @@ from hybrid.cli import options as o
 from splat.model.choices import Precision
 
 
-def export_ply(
+def export_file(
     forest: o.ForestArgument,
-    output: Annotated[Path, typer.Argument(metavar="out.ply", help="PLY file to write.")],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help=".ply to write, or .splat, .ksplat, .spz, .sog or .compressed.ply."
+        ),
+    ],
     layer: Annotated[
         int | None,
         typer.Option(help="Layer to write, from 1, the coarsest. Default: the finest.", show_default=False),
     ] = None,
 ) -> None:
-    """Write one layer of a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
+    """Write one layer of a forest as a file that other viewers of 3D Gaussian splatting open."""
     from splat.io.forest_file import load_forest
-    from splat.io.ply import save_ply
+    from splat.io.other_formats import format_of, save_gaussians
     from splat.model.points import in_world
 
-    if output.name and output.suffix.lower() != ".ply":
-        raise UserError(f"{output}: must end in .ply, the only format that is written")
+    format_of(output)
     loaded = load_forest(forest)
     layers = loaded.layers
     number = len(layers) if layer is None else layer
     if not 1 <= number <= len(layers):
         raise UserError(f"--layer {layer}: {forest} has layers 1 to {len(layers)}")
     gaussians = in_world(layers[number - 1].gaussians, loaded.place)
-    save_ply(output, gaussians)
+    save_gaussians(output, gaussians)
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 
 
 def import_file(
     source: Annotated[
-        Path, typer.Argument(metavar="FILE", help="PLY file of 3D Gaussian splatting, or .glb or .gltf file.")
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="File of 3D Gaussian splatting (.ply, .splat, .ksplat, .spz, .sog), or .glb or .gltf.",
+        ),
     ],
     target: Annotated[
         Path, typer.Argument(metavar="FOREST|FOLDER", help="Forest file to write; for glTF, a new folder.")
@@ -63,7 +71,7 @@ def import_file(
     ] = None,
     precision: o.NumberPrecision = Precision.COMPACT,
 ) -> None:
-    """Read a PLY file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
+    """Read a file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
     if source.suffix.lower() in (".glb", ".gltf"):
         o.select("auto")
         from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
@@ -79,12 +87,13 @@ def import_file(
         raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
     from splat.io.compact import compact
     from splat.io.forest_file import save_forest
-    from splat.io.ply import UNBOUND_FOCAL, load_ply
+    from splat.io.other_formats import load_gaussians
+    from splat.io.ply import UNBOUND_FOCAL
     from splat.model.forest import forest_of
     from splat.model.layer import static_layer
     from splat.model.points import from_world, place_of_gaussians
 
-    gaussians = load_ply(source)
+    gaussians = load_gaussians(source)
     place = place_of_gaussians(gaussians)
     layer = static_layer(from_world(gaussians, place))
     # Without a hash of a scene: it fits any.

@@ -14,7 +14,7 @@ from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
-from hybrid.cli.exchange import export_ply, import_file
+from hybrid.cli.exchange import export_file, import_file
 from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
 from hybrid.cli.progress import messages_as_lines
@@ -32,7 +32,7 @@ app = typer.Typer(
 )
 for command in (doctor, scenes, quickstart, plan, prepare, capture, train, render, demo, evaluate, sweep):
     app.command()(command)
-app.command("export")(export_ply)
+app.command("export")(export_file)
 app.command("import")(import_file)
 app.add_typer(bench_app, name="bench")
 

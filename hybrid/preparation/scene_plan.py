@@ -111,7 +111,7 @@ def plan_of(
         degree_decision(look),
         frame_precision_decision(look),
         layers_decision(display, size),
-        gaussians_decision(look, breadth),
+        gaussians_decision(look, breadth, scene.moving is not None),
         *sample_decisions(look),
         Decision(LIGHT, kinds or "plain", "plain", {"causes": causes}, 1.0, "noise"),
     )

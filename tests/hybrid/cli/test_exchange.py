@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hybrid.cli.exchange import export_ply, import_file
+from hybrid.cli.exchange import export_file, import_file
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.io.ply import load_ply
@@ -31,7 +31,7 @@ def test_a_layer_is_exported_by_its_number(options, number, made, monkeypatch, t
 
 
 def test_an_exported_forest_is_imported_and_fits_any_scene(made, monkeypatch, tmp_path, capsys):
-    export_ply(made / "box.forest", tmp_path / "a.ply")
+    export_file(made / "box.forest", tmp_path / "a.ply")
     import_file(tmp_path / "a.ply", tmp_path / "b.forest")
     imported = load_forest(tmp_path / "b.forest")
     assert imported.counts == (len(load_forest(made / "box.forest").finest),)
@@ -83,8 +83,15 @@ def test_options_of_gltf_are_refused_for_ply(option, monkeypatch, tmp_path, caps
     assert "--fps, --animation: only of .glb and .gltf files" in capsys.readouterr().err
 
 
-def test_only_ply_files_are_exported(made, monkeypatch, tmp_path, capsys):
-    for name in ("a.splat", "a.spz", "a"):
+def test_a_name_that_tells_no_format_is_refused(made, monkeypatch, tmp_path, capsys):
+    for name in ("a.xyz", "a"):
         assert run(monkeypatch, "export", made / "box.forest", tmp_path / name) == 2
-        assert f"{name}: must end in .ply, the only format that is written" in capsys.readouterr().err
+        assert f"{name}: must end in .compressed.ply, .ksplat, .ply" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_other_formats_are_exported_and_imported(made, monkeypatch, tmp_path):
+    pytest.importorskip("gaussforge", reason="gaussforge is not installed")
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.spz") == 0
+    assert run(monkeypatch, "import", tmp_path / "a.spz", tmp_path / "b.forest") == 0
+    assert load_forest(tmp_path / "b.forest").counts == (len(load_forest(made / "box.forest").finest),)

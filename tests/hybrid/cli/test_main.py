@@ -17,7 +17,7 @@ from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
-from hybrid.cli.exchange import export_ply, import_file
+from hybrid.cli.exchange import export_file, import_file
 from hybrid.cli.main import app, main
 from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
@@ -41,7 +41,7 @@ COMMANDS = {
     "demo": demo,
     "evaluate": evaluate,
     "sweep": sweep,
-    "export": export_ply,
+    "export": export_file,
     "import": import_file,
 }
 BENCHES = {

@@ -1,0 +1,101 @@
+"""Files of Gaussians by their names: PLY, and the compressed formats of web viewers.
+
+Those are converted by the library gaussforge. It is native code, which may crash on a damaged file, so it
+works in a process of its own.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from compose.base.errors import UserError, one_line, reading
+from compose.base.files import require_size_below, write_whole
+from splat.io.ply import load_ply, save_ply
+from splat.model.gaussians import Gaussians
+
+# What gaussforge calls them, by the ends of their names, the longest first.
+_FORMATS = {
+    ".compressed.ply": "compressed.ply",
+    ".ply": "ply",
+    ".splat": "splat",
+    ".ksplat": "ksplat",
+    ".spz": "spz",
+    ".sog": "sog",
+}
+# Of a compressed file: a billion Gaussians.
+_MOST_BYTES = 1 << 34
+# Of a compressed PLY file, enough to name its properties.
+_HEADER = 1 << 12
+_CONVERSION = """
+import sys, gaussforge
+source, kind, target, wanted = sys.argv[1:]
+with open(source, "rb") as file:
+    found = gaussforge.GaussForge().convert(file.read(), kind, wanted)
+if "error" in found:
+    sys.exit(str(found["error"]))
+with open(target, "wb") as file:
+    file.write(found["data"])
+"""
+
+
+def format_of(path: Path) -> str:
+    """The format that a file's name tells; UserError if it tells none."""
+    found = next((kind for end, kind in _FORMATS.items() if path.name.lower().endswith(end)), None)
+    if found is None:
+        raise UserError(f"{path}: must end in {', '.join(sorted(_FORMATS))}")
+    return found
+
+
+def load_gaussians(path: Path) -> Gaussians:
+    """Reads Gaussians in any of the formats; a PLY file may have any name.
+
+    UserError as of `load_ply`, if the name tells no format, or gaussforge is needed and not installed.
+    """
+    head = b""
+    if path.is_file():
+        with reading(path), path.open("rb") as file:
+            require_size_below(path, _MOST_BYTES)
+            head = file.read(_HEADER)
+    kind = "ply" if head.startswith(b"ply") else format_of(path)
+    if b"packed_position" in head:
+        kind = "compressed.ply"
+    if kind == "ply" or not head:
+        return load_ply(path)
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / "plain.ply"
+        _convert(path, kind, plain, "ply", path)
+        try:
+            return load_ply(plain)
+        except UserError as error:
+            raise UserError(str(error).replace(str(plain), str(path))) from error
+
+
+def save_gaussians(path: Path, gaussians: Gaussians) -> None:
+    """Writes Gaussians in the format that the name tells.
+
+    UserError as of `save_ply`, if the name tells none, or gaussforge is needed and not installed.
+    """
+    if (kind := format_of(path)) == "ply":
+        save_ply(path, gaussians)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        plain, packed = Path(folder) / "plain.ply", Path(folder) / "packed"
+        save_ply(plain, gaussians)
+        _convert(plain, "ply", packed, kind, path)
+        write_whole(path, lambda part: shutil.copyfile(packed, part))
+
+
+def _convert(source: Path, kind: str, target: Path, wanted: str, named: Path) -> None:
+    """Writes a file in another format; `named` stands in messages."""
+    if importlib.util.find_spec("gaussforge") is None:
+        raise UserError(f"{named}: needs gaussforge; pip install 'foveated-hybrid-renderer[formats]'")
+    command = [sys.executable, "-c", _CONVERSION, str(source), kind, str(target), wanted]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode:
+        reason = done.stderr.strip().splitlines()[-1:] or [f"its reader ended with {done.returncode}"]
+        raise UserError(f"{named}: cannot be converted ({one_line(reason[0])})")
