@@ -16,9 +16,7 @@ def export_file(
     forest: o.ForestArgument,
     output: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE", help=".ply to write, or .splat, .ksplat, .spz, .sog or .compressed.ply."
-        ),
+        typer.Argument(metavar="FILE", help=".ply to write, or .splat, .ksplat, .spz or .sog."),
     ],
     layer: Annotated[
         int | None,

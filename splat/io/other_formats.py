@@ -13,14 +13,15 @@ import sys
 import tempfile
 from pathlib import Path
 
+import torch
+
 from compose.base.errors import UserError, one_line, reading
 from compose.base.files import require_size_below, write_whole
 from splat.io.ply import load_ply, save_ply
 from splat.model.gaussians import Gaussians
 
-# What gaussforge calls them, by the ends of their names, the longest first.
+# What gaussforge calls them, by the ends of their names.
 _FORMATS = {
-    ".compressed.ply": "compressed.ply",
     ".ply": "ply",
     ".splat": "splat",
     ".ksplat": "ksplat",
@@ -31,6 +32,11 @@ _FORMATS = {
 _MOST_BYTES = 1 << 34
 # Of a compressed PLY file, enough to name its properties.
 _HEADER = 1 << 12
+# SPZ has axes right, up and back, PLY right, down and forward (the description of the format in
+# nianticlabs/spz), and gaussforge leaves that to its callers. Signs of axes and spherical harmonics under that
+# half turn about x.
+_AXES = 1.0, -1.0, -1.0
+_HARMONICS = 1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1
 _CONVERSION = """
 import sys, gaussforge
 source, kind, target, wanted = sys.argv[1:]
@@ -44,7 +50,10 @@ with open(target, "wb") as file:
 
 
 def format_of(path: Path) -> str:
-    """The format that a file's name tells; UserError if it tells none."""
+    """The format that a file's name tells; UserError if it tells none that can be written."""
+    if path.name.lower().endswith(".compressed.ply"):
+        # gaussforge 0.6 gives Gaussians the spherical harmonics of others.
+        raise UserError(f"{path}: compressed PLY files are only read; write .ply, .spz or .sog")
     found = next((kind for end, kind in _FORMATS.items() if path.name.lower().endswith(end)), None)
     if found is None:
         raise UserError(f"{path}: must end in {', '.join(sorted(_FORMATS))}")
@@ -70,9 +79,10 @@ def load_gaussians(path: Path) -> Gaussians:
         plain = Path(folder) / "plain.ply"
         _convert(path, kind, plain, "ply", path)
         try:
-            return load_ply(plain)
+            found = load_ply(plain)
         except UserError as error:
             raise UserError(str(error).replace(str(plain), str(path))) from error
+    return half_turned(found) if kind == "spz" else found
 
 
 def save_gaussians(path: Path, gaussians: Gaussians) -> None:
@@ -85,9 +95,21 @@ def save_gaussians(path: Path, gaussians: Gaussians) -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         plain, packed = Path(folder) / "plain.ply", Path(folder) / "packed"
-        save_ply(plain, gaussians)
+        save_ply(plain, half_turned(gaussians) if kind == "spz" else gaussians)
         _convert(plain, "ply", packed, kind, path)
         write_whole(path, lambda part: shutil.copyfile(packed, part))
+
+
+def half_turned(gaussians: Gaussians) -> Gaussians:
+    """The same Gaussians after half a turn about the x axis."""
+    sh, (w, x, y, z) = gaussians.all_turning().sh, gaussians.rotations
+    return Gaussians(
+        gaussians.means * torch.tensor(_AXES)[:, None],
+        gaussians.log_scales,
+        torch.stack([-x, w, -z, y]),
+        gaussians.opacity_logits,
+        sh * torch.tensor(_HARMONICS[: len(sh)])[:, None, None],
+    )
 
 
 def _convert(source: Path, kind: str, target: Path, wanted: str, named: Path) -> None:
