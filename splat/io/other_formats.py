@@ -33,8 +33,8 @@ _MOST_BYTES = 1 << 34
 # Of a compressed PLY file, enough to name its properties.
 _HEADER = 1 << 12
 # SPZ has axes right, up and back, PLY right, down and forward (the description of the format in
-# nianticlabs/spz), and gaussforge leaves that to its callers. Signs of axes and spherical harmonics under that
-# half turn about x.
+# nianticlabs/spz), and gaussforge leaves that to its callers. Signs of axes and of spherical harmonics under
+# that half turn about x.
 _AXES = 1.0, -1.0, -1.0
 _HARMONICS = 1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1
 _CONVERSION = """
