@@ -57,8 +57,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
     try:
-        if _is_stream(path):
-            _write_to_stream(path, write)
+        if (stream := _stream_of(path)) is not None:
+            _write_to_stream(stream, path.name, write)
         else:
             _write_beside(Path(os.path.realpath(path)) if path.is_symlink() else path, write)
     except (OSError, RuntimeError, ValueError) as error:
@@ -98,15 +98,15 @@ def _write_beside(path: Path, write: Callable[[Path], object]) -> None:
             part.unlink()
 
 
-def _is_stream(path: Path) -> bool:
-    """Whether a path leads to a pipe, to a character device, or to a file that this process has open."""
-    if _descriptor(path) is not None:
-        return True
+def _stream_of(path: Path) -> Path | int | None:
+    """What to open where a path leads to a pipe, a character device, or a file that is open already."""
+    if (number := _descriptor(path)) is not None:
+        return number
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        return False
-    return stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)
+        return None
+    return path if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode) else None
 
 
 def _descriptor(path: Path) -> int | None:
@@ -121,15 +121,15 @@ def _descriptor(path: Path) -> int | None:
     return None
 
 
-def _write_to_stream(path: Path, write: Callable[[Path], object]) -> None:
+def _write_to_stream(target: Path | int, name: str, write: Callable[[Path], object]) -> None:
     """As `write_whole`, to a stream, which gets all of the content or, if that cannot be made, nothing."""
     with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / path.name
+        whole = Path(folder) / name
         write(whole)
-        number = _descriptor(path)
         # What was printed comes first, and what will be printed comes after.
         sys.stdout.flush()
-        with whole.open("rb") as source, open(path if number is None else os.dup(number), "wb") as stream:
+        keeps = isinstance(target, int)
+        with whole.open("rb") as source, open(target, "wb", closefd=not keeps) as stream:
             shutil.copyfileobj(source, stream)
 
 

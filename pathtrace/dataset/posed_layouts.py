@@ -68,16 +68,20 @@ _ROUNDING = 2
 
 def is_posed_folder(folder: Path) -> bool:
     """Whether a folder has one of the layouts that can be read."""
-    return (folder / TRAINING).is_file() or (folder / DATASET).is_file() or _is_nerfstudio(folder)
+    return (folder / TRAINING).is_file() or (folder / DATASET).is_file() or _nerfstudio(folder) is not None
 
 
-def _is_nerfstudio(folder: Path) -> bool:
-    """Whether the folder's only description is not one of this project's own frame sets."""
+def _nerfstudio(folder: Path) -> dict[str, Any] | None:
+    """The folder's only description; None if there is none, or it is one of this project's own frame sets."""
     try:
         content = read_json(folder / TRANSFORMS)
     except (OSError, ValueError):
-        return False
-    return isinstance(content, dict) and "frames" in content and "format_version" not in content
+        return None
+    return (
+        content
+        if isinstance(content, dict) and "frames" in content and "format_version" not in content
+        else None
+    )
 
 
 def read_posed_folder(folder: Path) -> PosedFolder:
@@ -92,8 +96,8 @@ def read_posed_folder(folder: Path) -> PosedFolder:
     elif (folder / DATASET).is_file():
         layout = NERFIES
         images, points, bounds = read_nerfies(folder)
-    elif _is_nerfstudio(folder):
-        layout, images = NERFSTUDIO, read_nerfstudio(folder)
+    elif (content := _nerfstudio(folder)) is not None:
+        layout, images = NERFSTUDIO, read_nerfstudio(folder, content)
     else:
         raise UserError(
             f"{folder}: unknown layout; must be that of {SYNTHETIC} ({TRAINING}), of {NERFSTUDIO} "
@@ -141,16 +145,16 @@ def described_by(path: Path, what: str = "") -> Iterator[None]:
 
 def read_synthetic(folder: Path) -> list[PosedImage]:
     """The images of a folder, training ones first; UserError if a file is damaged or values make no view."""
-    images = _frames(folder, TRAINING, False)
+    images = _frames(folder / TRAINING, document(folder / TRAINING), False)
     for name in _HELD_OUT:
         if (folder / name).is_file():
-            return images + _frames(folder, name, True)
+            return images + _frames(folder / name, document(folder / name), True)
     return images
 
 
-def read_nerfstudio(folder: Path) -> list[PosedImage]:
-    """The images of a folder in the file's order; UserError as in `read_synthetic`."""
-    content, images = document(folder / TRANSFORMS), _frames(folder, TRANSFORMS, False)
+def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
+    """The images of a folder in the order of its description; UserError as in `read_synthetic`."""
+    images = _frames(folder / TRANSFORMS, content, False)
     with described_by(folder / TRANSFORMS):
         named = next((content[key] for key in ("test_filenames", "val_filenames") if content.get(key)), None)
         if named is not None:
@@ -161,15 +165,14 @@ def read_nerfstudio(folder: Path) -> list[PosedImage]:
     return [replace(image, held_out=number % _HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
 
 
-def _frames(folder: Path, name: str, held_out: bool) -> list[PosedImage]:
-    path = folder / name
-    content = document(path)
+def _frames(path: Path, content: Any, held_out: bool) -> list[PosedImage]:
+    """The images that the content of a file describes."""
     with described_by(path):
         frames = list(content["frames"])
     found = []
     for number, frame in enumerate(frames):
         with described_by(path, f"frame {number}"):
-            file = _image_file(folder, frame["file_path"])
+            file = _image_file(path.parent, frame["file_path"])
             camera, lens = _camera({**content, **frame}, read_size(file))
             found.append(PosedImage(camera, lens, file, None, time_of(frame), held_out))
     return found

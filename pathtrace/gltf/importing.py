@@ -76,8 +76,8 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
             raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
         if folder.is_dir():
             # The scene last: without it, the folder has none.
-            for file in sorted(part.iterdir(), key=lambda file: file.name == _SCENE):
-                os.replace(file, folder / file.name)
+            for made in sorted(part.iterdir(), key=lambda made: made.name == _SCENE):
+                os.replace(made, folder / made.name)
         else:
             os.replace(part, folder)
     except OSError as error:

@@ -228,7 +228,7 @@ class SceneDescription:
     text: str
     fingerprint: str
     max_depth: int
-    hides_emitters: bool = False
+    hides_emitters: bool
 
 
 def read_description(path: Path, text: str | None = None) -> SceneDescription:

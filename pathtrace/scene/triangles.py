@@ -109,8 +109,7 @@ class Surfaces:
         """(N,) distances, inf where nothing is hit, and normals (N, 3) of the surfaces."""
         start, way = (part.T.astype(np.float32) for part in (origins, directions))
         found = self._mitsuba.ray_intersect(mi.Ray3f(mi.Point3f(start), mi.Vector3f(way)))
-        distance, normal = np.array(found.t, np.float64), np.array(found.n, np.float64).T
-        return np.where(np.isfinite(distance), distance, np.inf), normal
+        return np.array(found.t, np.float64), np.array(found.n, np.float64).T
 
     def _run(self, origins: Array, directions: Array, **how: Any) -> Any:
         rays = (np.ascontiguousarray(part, dtype=np.float32) for part in (origins, directions))

@@ -20,14 +20,8 @@ from compose.base.files import require_size_below, write_whole
 from splat.io.ply import load_ply, save_ply
 from splat.model.gaussians import Gaussians
 
-# What gaussforge calls them, by the ends of their names.
-_FORMATS = {
-    ".ply": "ply",
-    ".splat": "splat",
-    ".ksplat": "ksplat",
-    ".spz": "spz",
-    ".sog": "sog",
-}
+# The ends of their names, and what gaussforge calls them.
+_FORMATS = "ksplat", "ply", "sog", "splat", "spz"
 # Of a compressed file: a billion Gaussians.
 _MOST_BYTES = 1 << 34
 # Of a compressed PLY file, enough to name its properties.
@@ -54,9 +48,9 @@ def format_of(path: Path) -> str:
     if path.name.lower().endswith(".compressed.ply"):
         # gaussforge 0.6 gives Gaussians the spherical harmonics of others.
         raise UserError(f"{path}: compressed PLY files are only read; write .ply, .spz or .sog")
-    found = next((kind for end, kind in _FORMATS.items() if path.name.lower().endswith(end)), None)
+    found = next((kind for kind in _FORMATS if path.name.lower().endswith(f".{kind}")), None)
     if found is None:
-        raise UserError(f"{path}: must end in {', '.join(sorted(_FORMATS))}")
+        raise UserError(f"{path}: must end in {', '.join(f'.{kind}' for kind in _FORMATS)}")
     return found
 
 
