@@ -28,6 +28,7 @@ def load_scene(
     max_depth: int | None = None,
     thin_glass: bool = False,
     motion: str | Path | None = None,
+    sensor: str | None = None,
     backend: str = "auto",
 ) -> Scene:
     """Loads a scene, as its stored plan has it if there is one; renders nothing.
@@ -44,16 +45,18 @@ def load_scene(
         max_depth: path depth, which no plan changes; as planned, else that of the file, if None.
         thin_glass: whether panes of glass let shadow rays pass; such a scene has a hash of its own.
         motion: motion file; the one beside the scene's file by default, if there is one.
+        sensor: id of the perspective camera to use; by default the first.
         backend: auto (CUDA if available), cuda or llvm; it cannot change within a process.
 
     Raises:
         UserError: the scene or its motion is missing or damaged, Mitsuba refuses it, it has no perspective
-            camera or no light, the backend is not available, or thin glass is asked for and there is no pane.
+            camera, none of that id or no light, the backend is not available, or thin glass is asked for and
+            there is no pane.
     """
     select_backend(backend)
     from hybrid.preparation.scene_plan import scene_as_stored
 
-    return scene_as_stored(source, max_depth, thin_glass, None if motion is None else Path(motion))
+    return scene_as_stored(source, max_depth, thin_glass, None if motion is None else Path(motion), sensor)
 
 
 def plan(scene: Scene, *, progress: Progress = no_progress) -> Scene:

@@ -48,6 +48,7 @@ def integrator(
     repeats: o.Repeats = 7,
     max_depth: o.MaxDepth = None,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     override: o.Override = None,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -57,7 +58,7 @@ def integrator(
     from hybrid.base.identity import machine
     from hybrid.bench.integrator_bench import bench_integrator
 
-    loaded = o.planned_scene(scene, max_depth, thin_glass, override)
+    loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)
     with progress_bar("bench (samples)") as bar:
         found = bench_integrator(loaded, o.sized(loaded.camera, size), reference_spp, repeats, bar)
     cache = found["cache"]
@@ -86,6 +87,7 @@ def periphery(
     repeats: o.Repeats = 20,
     warm_up: o.WarmUp = 5,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
 ) -> None:
@@ -97,7 +99,7 @@ def periphery(
     from hybrid.measure.perceptual_metrics import INSTALL
     from hybrid.preparation.preparation import with_forest
 
-    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass), forest, progress_bar)
+    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
@@ -129,6 +131,7 @@ def frame(
     repeats: o.Repeats = 15,
     warm_up: o.WarmUp = 5,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -147,7 +150,7 @@ def frame(
     from hybrid.bench.frame_bench import bench_frame
     from hybrid.preparation.preparation import with_forest
 
-    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass), forest, progress_bar)
+    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
     if backend == "auto" and device_arrays().backend == "cuda" and not isinstance(LLVM, UserError):
@@ -197,6 +200,7 @@ def moving(
         ),
     ] = None,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
 ) -> None:
@@ -207,7 +211,7 @@ def moving(
     from hybrid.preparation.preparation import with_forest
     from splat.io.forest_file import load_forest
 
-    loaded = o.loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass, sensor)
     require_moving(loaded)
     settings = replace(INTERACTIVE, spp=spp, camera=o.sized(loaded.camera, size))
     loaded, found = with_forest(loaded, forest, progress_bar)

@@ -50,6 +50,7 @@ def capture(
     ] = False,
     max_depth: o.MaxDepth = None,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     override: o.Override = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
@@ -70,7 +71,7 @@ def capture(
     o.require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
-    loaded = o.planned_scene(scene, max_depth, thin_glass, override)
+    loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)
     settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:

@@ -67,6 +67,7 @@ def demo(
     ] = 0.0,
     display: o.DisplayName = "desktop",
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -93,7 +94,7 @@ def demo(
     from hybrid.window.application import WindowOptions, run_window
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
-    found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass)
+    found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass, sensor)
     o.write_json(json_file, found)
     if bench is not None:
         print(summary)

@@ -50,6 +50,7 @@ def evaluate(
     ] = _DEFAULTS.repeats,
     display: o.DisplayName = "desktop",
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -70,7 +71,7 @@ def evaluate(
     from hybrid.render.forest_attachments import scene_as_trained
     from splat.io.forest_file import load_forest
 
-    loaded = o.loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass, sensor)
     if baseline_forest is not None:
         # Refused before any bar appears, and before a forest is trained.
         flat = load_forest(baseline_forest)

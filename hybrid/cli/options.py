@@ -129,6 +129,10 @@ ThinGlass = Annotated[
         help="Panes of glass let shadow rays pass: far less noise where light comes through them.",
     ),
 ]
+Sensor = Annotated[
+    str | None,
+    inputs("--sensor", metavar="ID", help="Perspective camera of the scene. Default: the first."),
+]
 Override = Annotated[
     list[str] | None,
     inputs(
@@ -203,20 +207,26 @@ def select(backend: str) -> None:
     select_backend(backend)
 
 
-def loaded_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
+def loaded_scene(
+    source: str, max_depth: int | None = None, thin_glass: bool = False, sensor: str | None = None
+) -> Scene:
     """A scene by a bundled name or from a Mitsuba XML file, as its stored plan has it if there is one."""
     from hybrid.preparation.scene_plan import scene_as_stored
 
-    return scene_as_stored(source, max_depth, thin_glass)
+    return scene_as_stored(source, max_depth, thin_glass, sensor=sensor)
 
 
 def planned_scene(
-    source: str, max_depth: int | None, thin_glass: bool, override: list[str] | None = None
+    source: str,
+    max_depth: int | None,
+    thin_glass: bool,
+    sensor: str | None,
+    override: list[str] | None = None,
 ) -> Scene:
     """As `loaded_scene`, with a plan that is made if there is none, and of which items are overridden."""
     from hybrid.preparation.scene_plan import planned_scene as load
 
-    return load(source, max_depth, thin_glass, progress_bar, overridden(override))
+    return load(source, max_depth, thin_glass, sensor, progress_bar, overridden(override))
 
 
 def overridden(override: list[str] | None) -> dict[str, Value]:

@@ -21,6 +21,7 @@ def plan(
         Path | None, typer.Option(metavar="FILE", help="Also write a PNG of what the plan is based on.")
     ] = None,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -40,7 +41,7 @@ def plan(
     shown = display_named(display)
     wanted = o.overridden(override)
     o.check_writable(picture)
-    loaded = load_scene(scene, None, thin_glass)
+    loaded = load_scene(scene, None, thin_glass, sensor=sensor)
     with progress_bar("plan (parts)") as bar:
         found = plan_of(loaded, shown, size, region or "near", seed, bar)
     found = overridden(found, wanted)

@@ -33,6 +33,7 @@ def prepare(
     size: o.FixedSize = (256, 256),
     max_depth: o.MaxDepth = None,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     override: o.Override = None,
     clamp_indirect: Annotated[
         float | None,
@@ -59,7 +60,7 @@ def prepare(
     from hybrid.preparation.preparation import prepare as run
 
     o.check_writable(forest)
-    loaded = o.planned_scene(scene, max_depth, thin_glass, override)
+    loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
     facts = run(loaded, settings, progress_bar, started=started).facts
     if forest is not None:

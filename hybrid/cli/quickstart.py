@@ -21,6 +21,7 @@ def quickstart(
     fov_a: o.FovA = DEFAULTS.fov_a,
     fov_b: o.FovB = DEFAULTS.fov_b,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     override: o.Override = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
@@ -35,7 +36,9 @@ def quickstart(
     if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     o.check_writable(out / "result.json")
-    result = run(o.planned_scene(scene, None, thin_glass, override), out, settings, seed, progress_bar)
+    result = run(
+        o.planned_scene(scene, None, thin_glass, sensor, override), out, settings, seed, progress_bar
+    )
     o.write_json(out / "result.json", result)
     o.write_json(json_file, result)
     print(

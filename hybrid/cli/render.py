@@ -120,6 +120,7 @@ def render(
     ] = None,
     max_depth: o.MaxDepth = None,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -178,7 +179,7 @@ def render(
     from hybrid.preparation.decisions import DENOISING, RAW
     from hybrid.preparation.preparation import with_forest
 
-    loaded = o.loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.loaded_scene(scene, max_depth, thin_glass, sensor)
     if time and loaded.moving is None:
         raise UserError(f"--time: nothing moves in {scene}; it has no motion file")
     own = _view(loaded, camera, size, is_video=trace is not None)

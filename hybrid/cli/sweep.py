@@ -39,6 +39,7 @@ def sweep(
     ] = None,
     reference_spp: o.ReferenceSpp = 64,
     thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
 ) -> None:
@@ -70,7 +71,7 @@ def sweep(
     from hybrid.evaluation.sweep_run import sweep as run
     from hybrid.preparation.preparation import with_forest
 
-    loaded = o.loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass, sensor)
     if report is not None:
         evaluated = evaluated_scene(report)
         if evaluated != loaded.name:

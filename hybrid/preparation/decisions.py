@@ -46,7 +46,17 @@ _TRIED, _LEAST_PATH_GAIN = (3, 8), 1.1
 
 
 def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[Decision]:
-    """The depth of paths, and that of roulette, which suit all views together."""
+    """The depth of paths, and that of roulette, which suit all views together.
+
+    In participating media, whose paths are those of Mitsuba, they stay as they are.
+    """
+    if scene.optics.has_media:
+        evidence = {"has_media": True}
+        depth, roulette = scene.own_depth, scene.roulette_depth
+        return [
+            Decision(DEPTH, depth, UNBOUNDED, evidence, 1.0, "segments per path"),
+            Decision(ROULETTE, roulette, RUSSIAN_ROULETTE_DEPTH, evidence, 1.0, "segments for equal noise"),
+        ]
     depth = _depth_decision(scene, cameras, seed)
     return [depth, _roulette(scene, cameras, int(depth.value), seed)]
 

@@ -67,8 +67,11 @@ def _plot_gaussians(axes: Any, plan: ScenePlan) -> None:
 
 
 def _plot_depths(axes: Any, plan: ScenePlan) -> None:
-    """Share of the radiance by the segments of paths, and where they are cut."""
+    """Share of the radiance by the segments of paths, and where they are cut, if that was measured."""
     evidence = plan.decision(DEPTH).evidence
+    if "needed" not in evidence:
+        axes.axis("off")
+        return
     depth, shares = evidence["needed"], evidence["share_by_depth"]
     axes.bar(range(1, len(shares) + 1), np.maximum(shares, 1e-6), color="#36c")
     axes.axvline(depth + 0.5, color="#c33")

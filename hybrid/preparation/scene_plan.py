@@ -145,13 +145,14 @@ def scene_as_stored(
     max_depth: int | None = None,
     thin_glass: bool = False,
     motion: Path | None = None,
+    sensor: str | None = None,
 ) -> Scene:
     """Loads a scene like `load_scene`, and as its stored plan has it if there is one; a given depth stays.
 
     Raises:
         UserError: as in `load_scene`, or the stored plan contradicts the scene.
     """
-    scene = load_scene(source, max_depth, thin_glass, motion)
+    scene = load_scene(source, max_depth, thin_glass, motion, sensor)
     plan = _stored(scene)
     return scene if plan is None else scene.planned(plan.values())
 
@@ -160,11 +161,12 @@ def planned_scene(
     source: str | Path | dict[str, Any],
     max_depth: int | None = None,
     thin_glass: bool = False,
+    sensor: str | None = None,
     bars: Bars = no_bars,
     override: Mapping[str, Value] | None = None,
 ) -> Scene:
     """Loads a scene like `load_scene`, and as its plan has it (`as_planned`)."""
-    return as_planned(load_scene(source, max_depth, thin_glass), bars, override)
+    return as_planned(load_scene(source, max_depth, thin_glass, sensor=sensor), bars, override)
 
 
 def as_planned(scene: Scene, bars: Bars = no_bars, override: Mapping[str, Value] | None = None) -> Scene:

@@ -118,6 +118,7 @@ def run_window(
     trace: GazeTrace | None,
     options: WindowOptions,
     thin_glass: bool = False,
+    sensor: str | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Runs the window until it is closed; arguments are those of commands.
 
@@ -127,7 +128,8 @@ def run_window(
     application = QApplication(sys.argv[:1])
     # Training would take minutes of a measurement that is expected to take seconds.
     trains = options.bench is None
-    thread = RenderThread(partial(prepared, scene, forest, backend, trains, settings, thin_glass=thin_glass))
+    how = {"thin_glass": thin_glass, "sensor": sensor}
+    thread = RenderThread(partial(prepared, scene, forest, backend, trains, settings, **how))
     window = MainWindow(thread, settings, GazeInput(options.latency, trace), options)
     bench = None if options.bench is None else WindowBench(window, options.bench, trace is None, options.load)
     window.show()

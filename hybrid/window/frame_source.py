@@ -135,6 +135,7 @@ def prepared(
     settings: FrameSettings,
     report: Progress,
     thin_glass: bool = False,
+    sensor: str | None = None,
 ) -> FrameSource:
     """The source of a scene's frames, the first of which has these settings; arguments as in `run_window`.
 
@@ -143,7 +144,7 @@ def prepared(
     """
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
-    loaded, bars = scene_as_stored(scene, thin_glass=thin_glass), bars_of(report)
+    loaded, bars = scene_as_stored(scene, thin_glass=thin_glass, sensor=sensor), bars_of(report)
     loaded, file = found_forest(loaded, forest, bars)
     if not trains and file is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")

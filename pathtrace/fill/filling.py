@@ -49,11 +49,13 @@ def fill_cache(
     """A cache of the irradiance that paths from some views, at least one, will ask for.
 
     Each generation has a number of points. Progress is told the steps done and the steps in all. Same seed,
-    same cache on the same machine.
+    same cache on the same machine. In participating media nothing is known, so that no path ends in it.
     """
     random = np.random.default_rng(seed)
     total = _GENERATIONS + 2
     grid = Grid(cameras[0].position.astype(np.float32), _scale(scene, cameras[0]))
+    if scene.optics.has_media:
+        return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
     share = -(-points // (2 * len(cameras)))
     ends = [_path_ends(scene.mitsuba, camera, share, _state(random)) for camera in cameras]
     parts = [joined_points(ends)]

@@ -301,31 +301,38 @@ def camera_of_sensor(sensor: Any, source: str) -> Camera:
         raise UserError(f"{source}: the camera's to_world: {error}") from error
 
 
-def perspective_sensor(scene: Any, source: str) -> Any:
-    """The first perspective sensor of a Mitsuba scene, or thin lens; UserError if it has none."""
+def perspective_sensor(scene: Any, source: str, name: str | None = None) -> Any:
+    """The perspective sensor or thin lens of a name in a Mitsuba scene, by default the first.
+
+    UserError if it has none.
+    """
     sensors = scene.sensors()
     if not sensors:
         raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
     found = [sensor for sensor in sensors if "x_fov" in mi.traverse(sensor)]
     if not found:
         raise UserError(f"{source}: the camera is not a perspective one; use <sensor type='perspective'>")
-    return found[0]
+    named = [sensor for sensor in found if name in (None, sensor.id())]
+    if not named:
+        names = ", ".join(sensor.id() for sensor in found)
+        raise UserError(f"{source}: sensor {name}: the scene's perspective cameras are {names}")
+    return named[0]
 
 
 def in_good_coordinates(
-    source: Source, loaded: Any, camera: Camera, apart: Collection[str] = ()
+    source: Source, loaded: Any, camera: Camera, apart: Collection[str] = (), sensor: str | None = None
 ) -> tuple[Any, Camera, Place]:
     """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
 
-    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba`. UserError
-    if the scene cannot be moved or scaled as far as it would have to be.
+    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba` and
+    `perspective_sensor`. UserError if the scene cannot be moved or scaled as far as it would have to be.
     """
     if _is_ordinary(loaded, camera):
         return loaded, camera, WORLD
     unit = 1.0
     while True:
         moved, place, step = load_mitsuba_in_place(source, unit, apart)
-        own = camera_of_sensor(perspective_sensor(moved, source.name), source.name)
+        own = camera_of_sensor(perspective_sensor(moved, source.name, sensor), source.name)
         distance = _distance(moved, own)
         if not 0 < distance < np.inf:
             # It sees nothing: whoever needs surfaces says so.

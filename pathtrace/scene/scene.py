@@ -25,9 +25,10 @@ from pathtrace.scene.loading import (
 )
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
+from pathtrace.scene.optics import Optics, has_medium
 from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.scene_xml import (
-    DEFAULT_MAX_DEPTH,
+    SceneDescription,
     dictionary_fingerprint,
     read_description,
     text_fingerprint,
@@ -40,6 +41,8 @@ _LOADING = threading.RLock()
 _REPOSITORY_SCENES = Path(__file__).resolve().parents[2] / "scenes"
 _INSTALLED_SCENES = Path(__file__).resolve().parents[1] / "scenes"
 RUSSIAN_ROULETTE_DEPTH = 5
+# Beyond these path depths hardly any energy is left: in a closed room, and in a cloud.
+DEFAULT_MAX_DEPTH, _DEPTH_OF_MEDIA = 8, 64
 
 
 def bundled_scenes() -> dict[str, Path]:
@@ -109,7 +112,8 @@ class Scene:
         mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else `own_depth`.
-        own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most.
+        own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most; 64 in participating
+            media.
         own_hash: `hash` at that depth.
         place: the scene's coordinates; `place.camera` converts cameras of the world to them.
         thin_glass: whether panes of glass let shadow rays pass (pathtrace.scene.panes).
@@ -118,6 +122,8 @@ class Scene:
             noisier are samples.
         plan: what is planned for it, by name; empty if nothing is. Frames take it down.
         keeps_depth: whether its path depth was asked for, so that no plan changes it.
+        optics: what its cameras see besides surfaces and their light.
+        left_out: what Mitsuba would show otherwise, a line each.
     """
 
     name: str
@@ -133,6 +139,8 @@ class Scene:
     roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
     plan: Mapping[str, Any] = field(default_factory=dict)
     keeps_depth: bool = False
+    optics: Optics = field(default_factory=Optics)
+    left_out: tuple[str, ...] = ()
     # Found once, for all scenes that differ in their plan or depth only.
     _surfaces: list[Surfaces] = field(default_factory=list, repr=False, compare=False)
 
@@ -177,6 +185,7 @@ def load_scene(
     max_depth: int | None = None,
     thin_glass: bool = False,
     motion: Path | None = None,
+    sensor: str | None = None,
 ) -> Scene:
     """Loads a scene and checks that it can be rendered.
 
@@ -192,70 +201,97 @@ def load_scene(
             them: with far less noise, but without the shift of what is seen through thick ones.
         motion: a motion file (pathtrace.scene.motion_file); by default the one beside the scene's file whose
             name ends in .motion.json instead of .xml, if there is one.
+        sensor: the id of the perspective camera to use; by default the first.
 
     Raises:
-        UserError: the scene is missing, refused by Mitsuba, has no perspective camera or no light, has no
+        UserError: the scene is missing, refused by Mitsuba, has no perspective camera, none of that id or no
+            light, has no
             panes of the thin glass that is asked for, or is too small or too far from the origin for Mitsuba
             and cannot be moved or scaled; or its motion is damaged, or not of this scene.
     """
     with _LOADING:
-        return _loaded(source, max_depth, thin_glass, motion)
+        return _loaded(source, max_depth, thin_glass, motion, sensor)
 
 
 def _loaded(
-    source: str | Path | dict[str, Any], max_depth: int | None, thin_glass: bool, motion: Path | None
+    source: str | Path | dict[str, Any],
+    max_depth: int | None,
+    thin_glass: bool,
+    motion: Path | None,
+    wanted: str | None,
 ) -> Scene:
     """As `load_scene`."""
-    if isinstance(source, dict):
-        name, depth = "dictionary", DEFAULT_MAX_DEPTH
-        content = Source(name, balanced_dictionary(source))
-        fingerprint = dictionary_fingerprint(source)
-        hides = any(isinstance(part, dict) and part.get("hide_emitters") for part in source.values())
-    else:
-        is_text = isinstance(source, str) and source.lstrip().startswith("<")
-        path = Path("text.xml").absolute() if is_text else scene_file(source)
-        name = scene_name(path.parent.name if path.stem == "scene" else path.stem, "scene")
-        description = read_description(path, str(source) if is_text else None)
-        depth, fingerprint, hides = description.max_depth, description.fingerprint, description.hides_emitters
-        content = Source(name if is_text else str(source), description.text, path.parent)
-        beside = path.with_suffix(".motion.json")
-        motion = beside if motion is None and not is_text and beside.is_file() else motion
+    content, name, description, motion = _described(source, motion)
     moves = None if motion is None else read_motion(motion)
     apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
     loaded = load_mitsuba(content, apart)
-    sensor = perspective_sensor(loaded, content.name)
+    sensor, fingerprint = perspective_sensor(loaded, content.name, wanted), description.fingerprint
     if not loaded.emitters():
         raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
-    for remark in _left_out(loaded, sensor, hides):
-        _say(f"{content.name}: {remark}")
     camera = camera_of_sensor(sensor, content.name)
-    loaded, camera, place = in_good_coordinates(content, loaded, camera, apart)
+    loaded, camera, place = in_good_coordinates(content, loaded, camera, apart, wanted)
+    sensor = perspective_sensor(loaded, content.name, wanted)
     if place != WORLD:
         # Forests and frames of the same scene in other coordinates do not fit it.
         fingerprint = text_fingerprint(f"{fingerprint} at {place.origin} in {place.unit}")
+    optics = Optics.of(loaded, sensor, camera, description.hides_emitters)
+    left_out = tuple(_left_out(loaded, sensor, wanted, optics))
+    for remark in left_out:
+        _say(f"{content.name}: {remark}")
     if thin_glass:
-        if not with_thin_glass(loaded):
-            raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
+        _require_panes(loaded, optics, content.name)
         fingerprint = text_fingerprint(f"{fingerprint} with thin glass")
+    seen = "" if sensor is perspective_sensor(loaded, content.name) else f" by {wanted}"
+    if text := optics.text + seen:
+        fingerprint = text_fingerprint(fingerprint + text)
+    most = _DEPTH_OF_MEDIA if optics.has_media else DEFAULT_MAX_DEPTH
+    depth = min(description.max_depth, most) if description.max_depth > 0 else most
     ordered, names = with_ordered_shapes(loaded)
     moving = None
     if moves is not None:
         moving = MovingScene(ordered, moves, names, place, name)
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
+    scene = replace(scene, optics=optics, left_out=left_out)
     return scene if max_depth is None else replace(scene.at_depth(max_depth), keeps_depth=True)
 
 
-def _left_out(loaded: Any, sensor: Any, hides_emitters: bool) -> Iterator[str]:
+def _described(
+    source: str | Path | dict[str, Any], motion: Path | None
+) -> tuple[Source, str, SceneDescription, Path | None]:
+    """What a scene is loaded from, its name, what is known of it before that, and its motion file."""
+    if isinstance(source, dict):
+        parts = [part for part in source.values() if isinstance(part, dict)]
+        depth = next((int(part["max_depth"]) for part in parts if "max_depth" in part), -1)
+        hides = any(part.get("hide_emitters") for part in parts)
+        description = SceneDescription("", dictionary_fingerprint(source), depth, hides)
+        return Source("dictionary", balanced_dictionary(source)), "dictionary", description, motion
+    is_text = isinstance(source, str) and source.lstrip().startswith("<")
+    path = Path("text.xml").absolute() if is_text else scene_file(source)
+    name = scene_name(path.parent.name if path.stem == "scene" else path.stem, "scene")
+    description = read_description(path, str(source) if is_text else None)
+    content = Source(name if is_text else str(source), description.text, path.parent)
+    beside = path.with_suffix(".motion.json")
+    motion = beside if motion is None and not is_text and beside.is_file() else motion
+    return content, name, description, motion
+
+
+def _require_panes(loaded: Any, optics: Optics, source: str) -> None:
+    """Makes the panes of a Mitsuba scene thin glass; UserError if it has none, or media."""
+    if optics.has_media:
+        raise UserError(f"{source}: thin glass: not where there are participating media; leave it out")
+    if not with_thin_glass(loaded):
+        raise UserError(f"{source}: thin glass: the scene has no panes of glass; leave it out")
+
+
+def _left_out(loaded: Any, sensor: Any, wanted: str | None, optics: Optics) -> Iterator[str]:
     """What Mitsuba itself would show of a scene otherwise."""
-    if len(loaded.sensors()) > 1:
+    if len(loaded.sensors()) > 1 and wanted is None:
         yield f"{len(loaded.sensors())} cameras; {sensor.id()}, the first perspective one, is used"
     if "aperture_radius" in mi.traverse(sensor):
         yield "depth of field is left out; the thin lens counts as a pinhole"
-    if hides_emitters:
-        yield "hide_emitters is ignored; lights are visible"
-    if any(shape.is_medium_transition() for shape in loaded.shapes()):
-        yield "participating media are left out"
+    if not optics.has_media and any(map(has_medium, loaded.shapes())):
+        yield "participating media are left out: they take less than a twentieth of the light"
 
 
 @cache

@@ -32,8 +32,6 @@ _MOST_INCLUDES = 1000
 # Of an attribute once its parameters are replaced: parameters of parameters grow exponentially.
 _LONGEST = 1 << 16
 _MOST_HASHED_BYTES = 1 << 36
-# Beyond this path depth, hardly any energy is left in a closed room.
-DEFAULT_MAX_DEPTH = 8
 
 
 def parse_xml(path: Path, content: bytes | None = None) -> ET.Element:
@@ -222,7 +220,7 @@ def _add_held(digest: hashlib._Hash, value: Any) -> None:
 class SceneDescription:
     """A scene's XML without its integrator, the hash of all files, and what the integrator asks for.
 
-    That is the path depth, DEFAULT_MAX_DEPTH at most, and whether lights are hidden from the camera.
+    That is the path depth, -1 if there is no bound, and whether lights are hidden from the camera.
     """
 
     text: str
@@ -259,7 +257,7 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
 def _max_depth(root: ET.Element) -> int:
     """Path depth of the scene's integrator, with `$` parameters replaced by their defaults."""
     defaults = {element.get("name"): element.get("value") for element in root.iter("default")}
-    depth = DEFAULT_MAX_DEPTH
+    depth = -1
     for integrator in root.findall("integrator"):
         found = integrator.find(".//integer[@name='max_depth']")
         value = None if found is None else found.get("value")
@@ -268,5 +266,5 @@ def _max_depth(root: ET.Element) -> int:
         # Longer numbers are beyond the limit as well.
         if value and re.fullmatch(r"-?\d{1,9}", value.strip()):
             # -1 is Mitsuba's "no limit".
-            depth = min(int(value), DEFAULT_MAX_DEPTH) if int(value) > 0 else DEFAULT_MAX_DEPTH
+            depth = max(int(value), -1) or -1
     return depth

@@ -89,3 +89,14 @@ def ray_through(camera: tuple[Any, ...], x: Any, y: Any, number: Any = 0) -> Any
     origin = mi.Point3f(*values[:3])
     ax, ay, az = (mi.Vector3f(*values[i : i + 3]) for i in (3, 6, 9))
     return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))
+
+
+def clipped(ray: Any, camera: tuple[Any, ...], clips: tuple[float, float]) -> tuple[Any, Any]:
+    """Rays of an `opaque_camera` between planes at two depths, and how far from the eye they start, (N,)."""
+    ax, ay = (mi.Vector3f(*[dr.gather(mi.Float, camera[0], i + k) for k in range(3)]) for i in (3, 6))
+    # Length along a ray per unit of depth.
+    length = dr.rcp(dr.abs(dr.dot(ray.d, dr.normalize(dr.cross(ax, ay)))))
+    near, far = (length * clip for clip in clips)
+    within = mi.RayDifferential3f(ray(near), ray.d)
+    within.maxt = far - near
+    return within, near

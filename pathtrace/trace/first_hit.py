@@ -20,6 +20,8 @@ _LOBE_SAMPLE = 0.999
 _MAX_BOUNCES = 8
 # ... and those of auxiliary features: an image hardly depends on what is left after more.
 _AUXILIARY_BOUNCES = 4
+# What a surface does to light that it does not let pass as it comes.
+_SCATTERS = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
 
 
 @dataclass(frozen=True)
@@ -75,19 +77,67 @@ class AuxiliaryFeatures:
         return replace(self, albedo=albedo, normal=normal)
 
 
+@dataclass(frozen=True)
+class Unseen:
+    """Surfaces that rays of a camera pass as if they were not there, as Mitsuba's integrators do.
+
+    Attributes:
+        lights: whether area lights are such, by `hide_emitters`.
+        boundaries: whether surfaces are that let all light pass, as those around participating media.
+    """
+
+    lights: bool
+    boundaries: bool
+
+    @staticmethod
+    def of(scene: Any, lights: bool) -> Unseen | None:
+        """Those of a Mitsuba scene, with or without its lights; None if there are none."""
+        boundaries = any(not int(shape.bsdf().flags()) & _SCATTERS for shape in scene.shapes())
+        return Unseen(lights, boundaries) if lights or boundaries else None
+
+    def holds(self, scene: Any, surface: Any) -> Any:
+        """Mask of the interactions (N,) with such surfaces."""
+        found = mi.Bool(False)
+        if self.lights:
+            found |= surface.emitter(scene) != None  # noqa: E711
+        if self.boundaries:
+            found |= surface.bsdf().flags() & _SCATTERS == 0
+        return found & surface.is_valid()
+
+
 def has_clear_surfaces(scene: Any) -> bool:
     """Whether a Mitsuba scene has mirrors or clear glass."""
     return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes())
 
 
-def first_hits(scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES) -> FirstHits:
-    """Follows N Mitsuba rays through mirrors and clear glass, at most so many, to the first other surface."""
+def first_hits(
+    scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES, unseen: Unseen | None = None
+) -> FirstHits:
+    """Follows N Mitsuba rays through mirrors and clear glass, at most so many, to the first other surface.
+
+    What is unseen is passed.
+    """
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV if bounces else mi.RayFlags.All
     # Coherent rays: Embree follows those of neighbouring pixels together, four times as fast.
     surface = scene.ray_intersect(ray, flags, True, active)
+    if unseen is not None:
+        surface = _beyond(scene, surface, ray.d, active, unseen, flags)
     if not bounces:
         return FirstHits(surface, surface, mi.Float(surface.t), mi.Color3f(1), mi.Bool(True))
     return _followed(scene, surface, active & surface.is_valid(), flags, bounces)
+
+
+@dr.syntax
+def _beyond(scene: Any, surface: Any, way: Any, active: Any, unseen: Unseen, flags: int) -> Any:
+    """Follows N rays along their way past unseen surfaces; `flags` say what hits must know."""
+    surface = mi.SurfaceInteraction3f(surface)
+    passing = active & unseen.holds(scene, surface)
+    while dr.hint(passing, exclude=[way, unseen]):
+        onward = scene.ray_intersect(surface.spawn_ray(way), flags, False, passing)
+        onward.t += surface.t
+        surface = dr.select(passing, onward, surface)
+        passing &= unseen.holds(scene, surface)
+    return surface
 
 
 @dr.syntax
@@ -114,9 +164,9 @@ def _followed(scene: Any, surface: Any, alive: Any, flags: int, bounces: int) ->
     return FirstHits(surface, last, unfolded, throughput, flat)
 
 
-def auxiliary_hits(scene: Any, ray: Any, active: Any, clear: bool) -> FirstHits:
+def auxiliary_hits(scene: Any, ray: Any, active: Any, clear: bool, unseen: Unseen | None = None) -> FirstHits:
     """First hits as `auxiliary_features` requires them; `clear` if there are mirrors or clear glass."""
-    return first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0)
+    return first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0, unseen)
 
 
 def auxiliary_features(

@@ -20,10 +20,11 @@ from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import FilmPositions, opaque_camera, ray_through
+from pathtrace.trace.film import FilmPositions, clipped, opaque_camera, ray_through
 from pathtrace.trace.first_hit import (
     AuxiliaryFeatures,
     FirstHits,
+    Unseen,
     auxiliary_features,
     auxiliary_hits,
     first_hits,
@@ -31,6 +32,7 @@ from pathtrace.trace.first_hit import (
     registered,
 )
 from pathtrace.trace.frozen import FrozenWithScenes
+from pathtrace.trace.media import veil
 from pathtrace.trace.sampling import Batch, SampleCounts, Sequences, joined_channels, mixed_seeds
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
@@ -96,7 +98,8 @@ class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
     Where thin glass lets shadow rays pass, or indirect light is bounded, paths of the same kind that do not
-    end in a cache stand in for it.
+    end in a cache stand in for it. Where there are participating media, it is `volpath`, unbiased whatever
+    else is asked for.
 
     Args:
         scene: the scene.
@@ -117,8 +120,11 @@ class Tracer:
         require_backend()
         self.scene = scene
         depth, roulette = scene.max_depth, roulette_depth or scene.roulette_depth
-        self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})
-        self._clear = has_clear_surfaces(scene.mitsuba)
+        kind, hides = "volpath" if scene.optics.has_media else "path", scene.optics.hides_emitters
+        self._path = mi.load_dict(
+            {"type": kind, "max_depth": depth, "rr_depth": roulette, "hide_emitters": hides}
+        )
+        self._clear, self._unseen = has_clear_surfaces(scene.mitsuba), Unseen.of(scene.mitsuba, hides)
         # What moves: the numbers by which kernels know a shape, and which samples of it have.
         moving = [] if scene.moving is None else scene.moving.movers()
         self._movers = [(registered(shape), number) for shape, number in moving]
@@ -126,7 +132,7 @@ class Tracer:
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
         shadow_rays = _SHADOW_RAYS if self._relit else 1
-        if scene.thin_glass or most_indirect is not None:
+        if (scene.thin_glass or most_indirect is not None) and not scene.optics.has_media:
             # Mitsuba's `path` has no shadow rays that pass glass, and no bound.
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
@@ -209,11 +215,10 @@ class Tracer:
 
     def _hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """As `hits`, all positions at once."""
-        ray = ray_through(
-            opaque_camera(camera), positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
-        )
-        found = first_hits(self.scene.mitsuba, ray, mi.Bool(True))
-        distance = dr.select(found.surface.is_valid(), found.surface.t, dr.inf)
+        x, y = positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
+        ray, start = self._rays(opaque_camera(camera), x, y)
+        found = first_hits(self.scene.mitsuba, ray, mi.Bool(True), unseen=self._unseen)
+        distance = dr.select(found.surface.is_valid(), found.surface.t + start, dr.inf)
         shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
         # What is seen in curved mirrors, or refracted as in the edge of a pane, moves with the viewer: it is
         # on the glass rather than as far away as the light has come.
@@ -222,7 +227,10 @@ class Tracer:
         back = dr.select(last.is_valid(), last.to_world(last.wi), last.wi)
         unbent = found.flat | (dr.dot(back, ray.d) < _UNBENT - 1)
         beyond = ~found.surface.is_valid() | (~last.is_valid() & unbent)
-        unfolded = dr.select(beyond, dr.inf, dr.select(unbent, found.unfolded, distance))
+        unfolded = dr.select(beyond, dr.inf, dr.select(unbent, found.unfolded + start, distance))
+        if self.scene.optics.has_media:
+            hidden = veil(self.scene.mitsuba, ray, self.scene.optics.medium, mi.Bool(True)).half + start
+            distance, unfolded = dr.minimum(distance, hidden), dr.minimum(unfolded, hidden)
         dr.eval(distance, unfolded, shapes)
         registry = {registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
         pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)
@@ -294,9 +302,9 @@ class Tracer:
         """Radiance of each lane, and what it sees first; frozen."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, dr.width(x))
-        ray = ray_through(camera, x, y)
-        radiance, _, _ = self._path.sample(scene, sampler, ray, active=active)
-        seen = auxiliary_hits(scene, ray, active, self._clear) if features else None
+        ray, _ = self._rays(camera, x, y)
+        radiance, _, _ = self._path.sample(scene, sampler, ray, self.scene.optics.medium, active)
+        seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen) if features else None
         return self._evaluated(radiance, sampler, seen, ray, active)
 
     def _cached_radiance(
@@ -314,17 +322,26 @@ class Tracer:
         """Radiance of each lane by paths that end in the cache, and what it sees first; frozen."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, dr.width(x))
-        ray = ray_through(camera, x, y)
-        seen = auxiliary_hits(scene, ray, active, self._clear and features)
-        paths = scene, sampler, ray, seen.surface, active, self._settings, sequences, cache
+        ray, _ = self._rays(camera, x, y)
+        seen = auxiliary_hits(scene, ray, active, self._clear and features, self._unseen)
+        shown = active & seen.surface.is_valid() if self.scene.optics.hides_emitters else active
+        paths = scene, sampler, ray, seen.surface, shown, self._settings, sequences, cache
         return self._evaluated(path_radiance(*paths), sampler, seen if features else None, ray, active)
 
     def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
-        ray = ray_through(camera, x, y)
-        features = self._seen(auxiliary_hits(scene, ray, active, self._clear), ray, active)
+        ray, _ = self._rays(camera, x, y)
+        seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
+        features = self._seen(seen, ray, active)
         dr.eval(features)
         return features
+
+    def _rays(self, camera: tuple[Any, ...], x: Any, y: Any) -> tuple[Any, Any]:
+        """Rays through film coordinates between the clipping planes, and how far from the eye they start."""
+        ray = ray_through(camera, x, y)
+        if self.scene.optics.clips is None:
+            return ray, mi.Float(0)
+        return clipped(ray, camera, self.scene.optics.clips)
 
     def _evaluated(
         self, radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any
@@ -344,6 +361,8 @@ class Tracer:
     def _seen(self, hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
         """Auxiliary features; albedo and normal that are not finite, as of damaged textures, count as 0."""
         found = auxiliary_features(hits, ray, active, self._movers)
+        if self.scene.optics.has_media:
+            found = veil(self.scene.mitsuba, ray, self.scene.optics.medium, active).over(found, ray)
         albedo, normal = (
             [dr.select(dr.isfinite(channel), channel, 0) for channel in channels]
             for channels in (found.albedo, found.normal)

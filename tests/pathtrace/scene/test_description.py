@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH, SceneDescription, read_description
+from pathtrace.scene.scene_xml import SceneDescription, read_description
 
 INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="{}"/></integrator>'
 
@@ -21,20 +21,20 @@ def described(tmp_path, content: str) -> SceneDescription:
 @pytest.mark.parametrize(
     ("content", "depth"),
     [
-        ("", DEFAULT_MAX_DEPTH),
+        ("", -1),
         (INTEGRATOR.format(5), 5),
         (INTEGRATOR.format(" 5 "), 5),
         (INTEGRATOR.format(1), 1),
-        # No limit, more than the limit, no number.
-        (INTEGRATOR.format(-1), DEFAULT_MAX_DEPTH),
-        (INTEGRATOR.format(0), DEFAULT_MAX_DEPTH),
-        (INTEGRATOR.format(65), DEFAULT_MAX_DEPTH),
-        pytest.param(INTEGRATOR.format("9" * 5000), DEFAULT_MAX_DEPTH, id="5,000 digits"),
-        (INTEGRATOR.format("deep"), DEFAULT_MAX_DEPTH),
-        ('<integrator type="path"><integer name="rr_depth" value="3"/></integrator>', DEFAULT_MAX_DEPTH),
+        # No limit, a large one, no number.
+        (INTEGRATOR.format(-1), -1),
+        (INTEGRATOR.format(0), -1),
+        (INTEGRATOR.format(65), 65),
+        pytest.param(INTEGRATOR.format("9" * 5000), -1, id="5,000 digits"),
+        (INTEGRATOR.format("deep"), -1),
+        ('<integrator type="path"><integer name="rr_depth" value="3"/></integrator>', -1),
         # Through a parameter, and in an integrator within another.
         ('<default name="bounces" value="4"/>' + INTEGRATOR.format("$bounces"), 4),
-        (INTEGRATOR.format("$bounces"), DEFAULT_MAX_DEPTH),
+        (INTEGRATOR.format("$bounces"), -1),
         (f'<integrator type="aov">{INTEGRATOR.format(6)}</integrator>', 6),
     ],
 )

@@ -13,8 +13,8 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.scene import scene as scene_module
-from pathtrace.scene.scene import load_scene
-from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH
+from pathtrace.scene.optics import Optics
+from pathtrace.scene.scene import DEFAULT_MAX_DEPTH, load_scene
 from tests import small
 from tests.conftest import real_file
 
@@ -229,9 +229,13 @@ LEFT_OUT = {
     "depth of field is left out": lambda: {
         "sensor": {**small.sensor(), "type": "thinlens", "aperture_radius": 0.1}
     },
-    "hide_emitters is ignored": lambda: {"path": {"type": "path", "hide_emitters": True}},
     "participating media are left out": lambda: {
-        "smoke": {"type": "sphere", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}
+        "glass": {
+            "type": "sphere",
+            "radius": 0.1,
+            "interior": {"type": "homogeneous", "sigma_t": 0.1},
+            "bsdf": {"type": "dielectric"},
+        }
     },
 }
 
@@ -245,10 +249,45 @@ def test_what_mitsuba_would_show_otherwise_is_said_once(said, caplog):
     assert [said in record.getMessage() for record in caplog.records] == [True]
 
 
-def test_hidden_lights_of_a_file_are_said(tmp_path, caplog):
+def test_hidden_lights_and_media_change_the_hash(tmp_path):
+    plain = load_scene(small.furnace())
+    assert plain.optics == Optics()
+    smoke = {"type": "sphere", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}
+    hidden = {"type": "path", "hide_emitters": True}
+    found = [load_scene({**small.furnace(), **more}) for more in ({"smoke": smoke}, {"path": hidden})]
+    assert [scene.optics for scene in found] == [Optics(has_media=True), Optics(hides_emitters=True)]
+    assert len({scene.hash for scene in (plain, *found)}) == 3
+
+
+def test_hidden_lights_of_a_file_are_hidden(tmp_path):
     flag = '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator></scene>'
     file = tmp_path / "hidden.xml"
     file.write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER).replace("</scene>", flag))
-    with caplog.at_level("INFO", logger="hybrid"):
-        load_scene(file)
-    assert "hide_emitters is ignored" in caplog.text
+    assert load_scene(file).optics.hides_emitters
+
+
+@pytest.mark.parametrize(("asked", "depth"), [(3, 3), (-1, 8), (65, 8)])
+def test_paths_are_no_longer_than_asked_nor_than_what_carries_light(asked, depth):
+    integrator = {"type": "path", "max_depth": asked}
+    assert load_scene({**small.furnace(), "integrator": integrator}).max_depth == depth
+
+
+def test_a_camera_is_chosen_by_its_id():
+    other = small.sensor(40, 20)
+    description = {**small.furnace(), "zoom": other}
+    first, chosen = load_scene(description), load_scene(description, sensor="zoom")
+    assert (first.camera.width, chosen.camera.width) == (32, 40)
+    assert first.hash != chosen.hash == load_scene(description, sensor="zoom").hash
+    assert load_scene(description, sensor="sensor").hash == first.hash
+    with pytest.raises(UserError, match="sensor third: the scene's perspective cameras are sensor, zoom"):
+        load_scene(description, sensor="third")
+
+
+CLIPS = [({}, None), ({"near_clip": 0.5}, None), ({"near_clip": 3.5}, 3.5), ({"far_clip": 2.0}, 0.01)]
+
+
+@pytest.mark.parametrize(("clips", "near"), CLIPS)
+def test_clipping_planes_count_where_they_cut_something_off(clips, near):
+    scene = load_scene({**small.furnace(), "sensor": {**small.sensor(), **clips}})
+    found = None if scene.optics.clips is None else scene.optics.clips[0]
+    assert found == (None if near is None else pytest.approx(near))
