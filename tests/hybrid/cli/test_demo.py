@@ -37,11 +37,11 @@ def test_every_option_reaches_the_window(given, monkeypatch, tmp_path, capsys):
     options = ["--forest", tmp_path / "f", "--size", 100, 80, "--fov-a", 30, "--fov-b", 10, "--spp", 2]
     options += ["--acuity-model", "fov-gs", "--target", 15, "--gaze-trace", tmp_path / "gaze.csv"]
     options += ["--latency", 50, "--out", tmp_path, "--bench", 9, "--load", 4, "--display", "hmd"]
-    options += ["--play", "--thin-glass", "--backend", "llvm", "--json", tmp_path / "d.json"]
+    options += ["--play", "--thin-glass", "--sensor", "door", "--backend", "llvm", "--json", tmp_path / "d.json"]
     assert run(monkeypatch, "demo", "room", *options) == 0
     settings = FrameSettings(fov_a=30, fov_b=10, spp=2, acuity_model="fov-gs", display="hmd")
     window = module.WindowOptions((100, 80), 0.05, tmp_path, 15.0, 9.0, 4.0, True)
-    assert given == [("room", tmp_path / "f", "llvm", settings, trace, window, True)]
+    assert given == [("room", tmp_path / "f", "llvm", settings, trace, window, True, "door")]
     assert json.loads((tmp_path / "d.json").read_text()) == {"frames": 3}
     assert capsys.readouterr().out == "3 frames\n"
 
@@ -50,12 +50,12 @@ def test_without_options_the_mouse_is_the_gaze(given, monkeypatch, tmp_path, cap
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, command.demo.__name__, "room") == 0
     window = module.WindowOptions((640, 480), 0.0, Path("."), None, None, 0.0)
-    assert given == [("room", None, "auto", INTERACTIVE, None, window, False)]
+    assert given == [("room", None, "auto", INTERACTIVE, None, window, False, None)]
     assert capsys.readouterr().out == ""
 
 
 def test_a_simulated_viewer_is_one_of_the_display_window_and_seed(given, monkeypatch, tmp_path):
     options = ["--simulate", "--seed", 7, "--size", 100, 80, "--display", "hmd", "--out", tmp_path]
     assert run(monkeypatch, "demo", "room", *options) == 0
-    ((_, _, _, settings, trace, _, _),) = given
+    ((_, _, _, settings, trace, *_),) = given
     assert trace == simulated(settings.display, 100, 80, 60.0, 7)

@@ -124,6 +124,7 @@ MISTAKES = {
     "a fovea": (["--fovea", "raw"], "--fovea: requires a scene"),
     "a target": (["--target-ms", "9"], "--target-ms: requires a scene"),
     "thin glass": (["--thin-glass"], "--thin-glass: requires a scene"),
+    "sensor": (["--sensor", "door"], "--sensor: requires a scene"),
     "a view that is not there": (["--view", "3"], "--view 3: .* has views 0 to 2"),
     "layers that are not there": (["--layers", "1", "9"], "layers 1 9: this forest has layers 1 to 2"),
     "a video of one view": (["--view", "1", "-o", "{tmp}/a.mp4"], "--view, --camera, --time"),

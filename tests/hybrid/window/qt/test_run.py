@@ -46,8 +46,9 @@ def source(monkeypatch, backend) -> Source:
         settings: object,
         report: object,
         thin_glass: bool,
+        sensor: str | None,
     ) -> Source:
-        assert not thin_glass
+        assert (thin_glass, sensor) == (False, None)
         assert (scene, forest, backend, trains, settings) == ("box", FOREST, "auto", False, INTERACTIVE)
         return source
 
