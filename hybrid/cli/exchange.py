@@ -1,4 +1,4 @@
-"""`hybrid export` and `hybrid import`: files of 3D Gaussian splatting, and glTF scenes."""
+"""`hybrid export` and `hybrid import`: files of 3D Gaussian splatting, glTF scenes, data sets of COLMAP."""
 
 from __future__ import annotations
 
@@ -13,27 +13,44 @@ from splat.model.choices import Precision
 
 
 def export_file(
-    forest: o.ForestArgument,
+    source: Annotated[
+        Path, typer.Argument(metavar="FOREST|FRAMES", help="Forest file, or folder of a frame set.")
+    ],
     output: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help=".ply to write, or .splat, .ksplat, .spz or .sog."),
+        typer.Argument(
+            metavar="FILE|FOLDER",
+            help=".ply to write, or .glb, .splat, .ksplat, .spz or .sog; of frames, a new folder.",
+        ),
     ],
     layer: Annotated[
         int | None,
         typer.Option(help="Layer to write, from 1, the coarsest. Default: the finest.", show_default=False),
     ] = None,
 ) -> None:
-    """Write one layer of a forest as a file that other viewers of 3D Gaussian splatting open."""
+    """Write one layer of a forest as a file that other viewers of 3D Gaussian splatting open.
+
+    Or the frames of a frame set as a data set of COLMAP, on which other programs train.
+    """
+    if source.is_dir():
+        if layer is not None:
+            raise UserError(f"--layer: only of a forest; {source} is a folder of frames")
+        from pathtrace.dataset.colmap_layout import write_colmap
+        from pathtrace.dataset.frame_set import read_frame_set
+
+        images, points = write_colmap(read_frame_set(source), output)
+        print(f"{output}: {images:,} images, {points:,} points")
+        return
     from splat.io.forest_file import load_forest
     from splat.io.other_formats import format_of, save_gaussians
     from splat.model.points import in_world
 
     format_of(output)
-    loaded = load_forest(forest)
+    loaded = load_forest(source)
     layers = loaded.layers
     number = len(layers) if layer is None else layer
     if not 1 <= number <= len(layers):
-        raise UserError(f"--layer {layer}: {forest} has layers 1 to {len(layers)}")
+        raise UserError(f"--layer {layer}: {source} has layers 1 to {len(layers)}")
     gaussians = in_world(layers[number - 1].gaussians, loaded.place)
     save_gaussians(output, gaussians)
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")

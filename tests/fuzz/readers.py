@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import torch
 
@@ -21,6 +22,7 @@ from compose.image.exr import write_channels
 from hybrid.base.journal import Journal
 from hybrid.render.image_files import read_exr
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
+from pathtrace.dataset.colmap_model import ModelPoints, read_model, write_model
 from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
 from pathtrace.dataset.posed_images import read_pixels
 from pathtrace.dataset.posed_layouts import read_posed_folder
@@ -90,8 +92,25 @@ def _frame_set(path: Path) -> None:
 
 def _all_pixels(path: Path) -> None:
     """Reads the folder of posed images that a file describes, with all pixels."""
-    for image in read_posed_folder(path.parent).images:
+    folder = path.parent if path.suffix != ".png" else path.parents[1]
+    for image in read_posed_folder(folder).images:
         read_pixels(image)
+
+
+def _colmap(path: Path) -> None:
+    """A data set of COLMAP with a binary model, which is that of a text."""
+    folder = posed.write_colmap(path.parent, 2, ".")
+    model = read_model(folder)
+    seen = np.zeros(len(model.points), np.int64)
+    colours = np.zeros((len(seen), 3), np.uint8)
+    write_model(folder, model, ModelPoints(model.points, colours, seen, model.points[:, :2]))
+
+
+def _deep_image(path: Path) -> None:
+    """Frames of which one has 16 bits per channel."""
+    posed.write_synthetic(path.parents[1], 1, 0)
+    values = small.rng().integers(0, 1 << 16, (posed.HEIGHT, posed.WIDTH, 3)).astype(np.uint16)
+    mi.Bitmap(values).write(str(path))
 
 
 def _journal(path: Path) -> None:
@@ -181,6 +200,13 @@ READERS = {
             ("metadata.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
             ("scene.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
             ("points.npy", lambda p: posed.write_nerfies(p.parent, 2, 1)),
+            ("cameras.txt", lambda p: posed.write_colmap(p.parent, 2, ".")),
+            ("images.txt", lambda p: posed.write_colmap(p.parent, 2, ".")),
+            ("points3D.txt", lambda p: posed.write_colmap(p.parent, 2, ".")),
+            ("cameras.bin", _colmap),
+            ("images.bin", _colmap),
+            ("points3D.bin", _colmap),
+            ("train/r_000.png", _deep_image),
         )
     },
     "scene": Reader("scene.xml", lambda p: p.write_text(_SCENE), read_description),
