@@ -124,6 +124,7 @@ def _hash(images: list[PosedImage]) -> str:
         for file in (image.file, image.labels):
             if file is not None:
                 with reading(file):
+                    require_size_below(file, _MOST_BYTES)
                     state.update(hashlib.sha256(file.read_bytes()).digest())
     return state.hexdigest()
 

@@ -92,8 +92,7 @@ def _frame_set(path: Path) -> None:
 
 def _all_pixels(path: Path) -> None:
     """Reads the folder of posed images that a file describes, with all pixels."""
-    folder = path.parent if path.suffix != ".png" else path.parents[1]
-    for image in read_posed_folder(folder).images:
+    for image in read_posed_folder(path.parent).images:
         read_pixels(image)
 
 
@@ -108,7 +107,8 @@ def _colmap(path: Path) -> None:
 
 def _deep_image(path: Path) -> None:
     """Frames of which one has 16 bits per channel."""
-    posed.write_synthetic(path.parents[1], 1, 0)
+    file = posed.write_synthetic(path.parent, 1, 0) / "transforms_train.json"
+    file.write_text(file.read_text().replace("./train/r_000", path.name))
     values = small.rng().integers(0, 1 << 16, (posed.HEIGHT, posed.WIDTH, 3)).astype(np.uint16)
     mi.Bitmap(values).write(str(path))
 
@@ -206,7 +206,7 @@ READERS = {
             ("cameras.bin", _colmap),
             ("images.bin", _colmap),
             ("points3D.bin", _colmap),
-            ("train/r_000.png", _deep_image),
+            ("deep.png", _deep_image),
         )
     },
     "scene": Reader("scene.xml", lambda p: p.write_text(_SCENE), read_description),
