@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from compose.base.errors import UserError, one_line
 from compose.base.files import whole_folder, write_whole
 from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
-from pathtrace.gltf.document import EXTENSIONS, Document, read_document
+from pathtrace.gltf.document import EXTENSIONS, Document, read_document, undamaged
 from pathtrace.gltf.lights import Light, brightness, camera, read_lights
 from pathtrace.gltf.materials import Materials, Textures, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
@@ -60,12 +59,8 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     one to play; without it, all play that move different things, else the first one. UserError if the file is
     damaged, or needs what is not known here; or the folder cannot be written.
     """
-    with whole_folder(folder, _SCENE) as part:
-        try:
-            return _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
-        except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
-            # The schema leaves extensions alone, and much that refers to something.
-            raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
+    with whole_folder(folder, _SCENE) as part, undamaged(file):
+        return _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
 
 
 class _Import:

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 import torch
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import read_json
 from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 from compose.eye.display import display_named
@@ -26,11 +26,13 @@ from pathtrace.dataset.colmap_model import ModelPoints, read_model, write_model
 from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
 from pathtrace.dataset.posed_images import read_pixels
 from pathtrace.dataset.posed_layouts import read_posed_folder
+from pathtrace.gltf.gaussians import read_gaussians
 from pathtrace.gltf.importing import import_gltf
 from pathtrace.region.camera_path import read_path
 from pathtrace.scene.scene_xml import read_description
 from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
+from splat.io.gltf_gaussians import gaussians_from, save_glb
 from splat.io.ply import load_ply, save_ply
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
@@ -150,6 +152,15 @@ def _import(path: Path) -> None:
     import_gltf(path, folder, fps=2)
 
 
+def _splats(path: Path) -> None:
+    parts = read_gaussians(path, [])
+    try:
+        for part in parts:
+            gaussians_from(**vars(part))
+    except ValueError as error:
+        raise UserError(one_line(error)) from error
+
+
 _SCENE = """<scene version="3.0.0"><default name="d" value="a"/><path value="b"/>
 <include filename="$d.xml"/>
 <sensor type="perspective"><float name="fov" value="40"/></sensor><shape type="obj">
@@ -192,6 +203,7 @@ READERS = {
     "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
     "glTF": Reader("a.gltf", _gltf, _import),
     "GLB": Reader("a.glb", _gltf, _import),
+    "GLB of Gaussians": Reader("g.glb", lambda p: save_glb(p, gaussians("overlap", n=5, degree=1)), _splats),
     **{
         f"frames of others, {name}": Reader(name, make, _all_pixels)
         for name, make in (
