@@ -73,7 +73,7 @@ def gaussians_from(
         quaternions = Rotation.from_matrix(axes)
     harmonics = torch.from_numpy(np.ascontiguousarray(sh.transpose(1, 2, 0)))
     if is_linear:
-        harmonics = _refitted(harmonics, perceptual_from_radiance)
+        harmonics = refitted(harmonics, perceptual_from_radiance)
     if turns:
         harmonics = torch.einsum("jk,kcn->jcn", _turning(turn, len(harmonics)), harmonics)
     with np.errstate(divide="ignore"):
@@ -93,7 +93,7 @@ def save_glb(path: Path, gaussians: Gaussians) -> None:
 
     UserError if the file cannot be written, or would be larger than GLB files can be.
     """
-    sh = _refitted(gaussians.all_turning().sh.detach().cpu().double(), radiance_from_perceptual)
+    sh = refitted(gaussians.all_turning().sh.detach().cpu().double(), radiance_from_perceptual)
     turns = quaternions_xyzw(gaussians)
     attributes = {
         "POSITION": rows_of(gaussians.means),
@@ -165,7 +165,7 @@ def _turning(turn: Floats, count: int) -> torch.Tensor:
     return torch.linalg.pinv(_basis(_directions(), count)) @ _basis(_directions() @ turn, count)
 
 
-def _refitted(sh: torch.Tensor, curve: Callable[[torch.Tensor], torch.Tensor]) -> torch.Tensor:
+def refitted(sh: torch.Tensor, curve: Callable[[torch.Tensor], torch.Tensor]) -> torch.Tensor:
     """(K, 3, N) harmonics of the colour on another curve: the best ones for all directions together."""
     basis = _basis(_directions(), len(sh))
     back = torch.linalg.pinv(basis)

@@ -82,13 +82,13 @@ def test_a_gltf_file_in_which_nothing_moves_says_so(monkeypatch, tmp_path, capsy
 @pytest.mark.parametrize("option", [("--fps", 24), ("--animation", "walk")])
 def test_options_of_gltf_are_refused_for_ply(option, monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, "import", tmp_path / "a.ply", tmp_path / "a.forest", *option) == 2
-    assert "--fps, --animation: only of .glb and .gltf files" in capsys.readouterr().err
+    assert "--fps, --animation: only of scenes in .glb and .gltf files" in capsys.readouterr().err
 
 
 def test_a_name_that_tells_no_format_is_refused(made, monkeypatch, tmp_path, capsys):
     for name in ("a.xyz", "a"):
         assert run(monkeypatch, "export", made / "box.forest", tmp_path / name) == 2
-        assert f"{name}: must end in .ksplat, .ply" in capsys.readouterr().err
+        assert f"{name}: must end in .glb, .ply" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -32,6 +32,7 @@ from pathtrace.dataset.frame_set import FORMAT_VERSION, FrameSet, read_frame_set
 from pathtrace.dataset.posed_images import Lens, read_pixels
 from pathtrace.dataset.posed_layouts import is_posed_folder, read_posed_folder
 from tests import posed
+from tests.conftest import real_file
 from tests.extremes import extreme
 
 NAMES = [f"view {number:02d}.png" for number in range(10)]
@@ -321,3 +322,26 @@ def test_points_are_as_many_as_colmap_finds(tmp_path, monkeypatch):
     model = model_of(tmp_path / "out")
     assert model is not None
     assert len(read_colmap(tmp_path / "out", model)[1]) == count
+
+
+def test_points_of_real_cameras_come_back(tmp_path):
+    """Three photographs of a garden, whose cameras and points COLMAP found."""
+    with np.load(real_file("splats/garden_sfm/test_garden.npz")) as found:
+        positions, colours = found["means3d"].astype(np.float64), found["colors"]
+        poses, (lens, *_) = found["viewmats"].astype(np.float64), found["Ks"].astype(np.float64)
+        size = int(found["width"]), int(found["height"])
+    model = tmp_path / "a/sparse/0"
+    camera = ModelCamera("PINHOLE", *size, (lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2]))
+    images = [ModelImage(f"{number}.png", 1, pose) for number, pose in enumerate(poses)]
+    first = np.zeros(len(positions), np.int64)
+    points = ModelPoints(positions, colours, first, positions[:, :2])
+    write_model(model, ColmapModel({1: camera}, images), points)
+    (tmp_path / "a/images").mkdir()
+    for image in images:
+        Image.new("RGB", size).save(tmp_path / "a/images" / image.name)
+    back = read_posed_folder(tmp_path / "a")
+    assert np.array_equal(back.points, positions)
+    for image, pose in zip(back.images, poses, strict=True):
+        assert np.allclose(image.camera.world_to_camera, pose, atol=1e-6)
+        # Most of the points are seen by each of the cameras.
+        assert image.camera.shows(positions)[1].mean() > 0.5
