@@ -20,7 +20,7 @@ import hybrid
 from compose.base.files import json_text
 from compose.camera.camera import Array, Camera, turned
 from compose.camera.coordinate_systems import Place
-from compose.image.colour import srgb_from_radiance
+from compose.image.colour import Image, srgb_from_radiance
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.colmap_layout import write_colmap
 from pathtrace.dataset.frame_set import CaptureSettings
@@ -96,7 +96,7 @@ def pictures(gaussians: Gaussians, place: Place, cameras: list[Camera]) -> Array
     ])  # fmt: skip
 
 
-def render(gaussians: Gaussians, camera: Camera, place: Place) -> Array:
+def render(gaussians: Gaussians, camera: Camera, place: Place) -> Image:
     """(H, W, 3) linear radiance."""
     import splat
 

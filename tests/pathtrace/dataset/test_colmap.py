@@ -343,5 +343,5 @@ def test_points_of_real_cameras_come_back(tmp_path):
     assert np.array_equal(back.points, positions)
     for image, pose in zip(back.images, poses, strict=True):
         assert np.allclose(image.camera.world_to_camera, pose, atol=1e-6)
-        # Most of the points are seen by each of the cameras.
-        assert image.camera.shows(positions)[1].mean() > 0.5
+        # About half of the points are seen by each of the cameras.
+        assert image.camera.shows(positions)[1].mean() > 0.3
