@@ -266,9 +266,13 @@ def test_a_folder_appears_whole(tmp_path, is_there):
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_a_folder_that_is_not_whole_does_not_appear(tmp_path, error):
-    with pytest.raises((KeyboardInterrupt, UserError)), whole_folder(tmp_path / "a", "last") as part:
-        (part / "z").write_text("z")
-        raise error
+    def write() -> None:
+        with whole_folder(tmp_path / "a", "last") as part:
+            (part / "z").write_text("z")
+            raise error
+
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        write()
     assert not list(tmp_path.iterdir())
 
 
