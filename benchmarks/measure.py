@@ -45,6 +45,7 @@ MEASUREMENTS = {
     "integrator-room": "hybrid bench integrator room --reference-spp 512",
     "integrator-staircase2": "hybrid bench integrator STAIRCASE --reference-spp 512",
     "raster": "hybrid bench raster",
+    "stored": f"python -m benchmarks.stored room {_FRAMES}",
     "acuity": "python -m benchmarks.fit_acuity VISION",
 }
 

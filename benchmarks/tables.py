@@ -159,6 +159,8 @@ def denoiser() -> str:
 
 
 _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
+# Decibels from which on pictures count as the same.
+_EXACT = 119.0
 _DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
 
 
@@ -258,6 +260,39 @@ def acuity() -> str:
     rms = found["left_one_out"]["rms"]
     left_out = f"Each person against `resolution-limit` fitted to all others: {rms:.3f} octaves."
     return _with_provenance(f"{markdown(header, rows)}\n\n{left_out}", "acuity")
+
+
+def stored() -> str:
+    """What formats of Gaussians keep of a forest's finest layer."""
+    found = result("stored")
+    rows = [
+        [
+            f"`.{row['format']}`",
+            f"{row['bytes'] / 1e6:.2f}",
+            f"{row['bytes'] / row['count']:.0f}",
+            str(row["degree"]),
+            *(f"{row[name]:.2g}" for name in ("position", "scale", "rotation", "opacity", "colour")),
+            "exact" if row["psnr"] >= _EXACT else f"{row['psnr']:.1f}",
+        ]
+        for row in found["formats"]
+    ]
+    header = ["file", "MB", "bytes per Gaussian", "degree", "position, deviations", "scale, share"]
+    header += ["rotation, degrees", "opacity, 256ths", "colour, 256ths", "picture, dB"]
+    what = f"{found['gaussians']:,} Gaussians of degree {found['degree']}. "
+    what += f"The same Gaussians, blended on the sRGB curve: {found['srgb_blended_psnr']:.1f} dB."
+    return _with_provenance(f"{markdown(header, rows)}\n\n{what}", "stored")
+
+
+def colmap() -> str:
+    """What a data set of COLMAP keeps of frames."""
+    found = result("stored")["colmap"]
+    rows = [
+        ["files", f"{found['images']} images, {found['points']:,} points, {found['bytes'] / 1e6:.2f} MB"],
+        ["poses, largest difference of a number", f"{found['pose']:.1g}"],
+        ["focal lengths and principal points", "exact" if found["lens"] == 0 else f"{found['lens']:.1g} px"],
+        ["pictures against radiance on the sRGB curve, 256ths", f"{found['picture_256ths']:.2f}"],
+    ]
+    return _with_provenance(markdown(["", ""], rows), "stored")
 
 
 def raster() -> str:
@@ -404,7 +439,7 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
 )
 _MADE = (
     *(headlines, quickstart, resolution, radius, denoiser, evaluation, integrators),
-    *(periphery, acuity, frames, raster, window),
+    *(periphery, acuity, frames, raster, window, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

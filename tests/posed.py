@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
 from compose.camera.coordinate_systems import opengl_from_opencv
@@ -126,6 +127,30 @@ def write_nerfies(
     (folder / "scene.json").write_text(json.dumps(scene))
     if points:
         np.save(folder / "points.npy", np.concatenate(seen) / SCALE + CENTRE)
+    return folder
+
+
+def write_colmap(folder: Path, count: int = 10, place: str = "sparse/0") -> Path:
+    """A data set of COLMAP whose model is text, of the ball without time; cameras of two sizes in turns."""
+    (folder / place).mkdir(parents=True, exist_ok=True)
+    (folder / "images").mkdir()
+    cameras, images, points = ["# cameras"], ["# images"], ["# points"]
+    for number in range(2):
+        view = camera(0, WIDTH >> number, HEIGHT >> number)
+        numbers = [view.width, view.height, view.fx, view.fy, view.cx, view.cy]
+        cameras.append(f"{number + 7} PINHOLE {' '.join(map(str, numbers))}")
+    for number in range(count):
+        view = camera(number, WIDTH >> number % 2, HEIGHT >> number % 2)
+        distance, _, colour = cast(view, 0.0)
+        Image.fromarray(_bytes(colour)).save(folder / f"images/view {number:02d}.png")
+        turn = Rotation.from_matrix(view.world_to_camera[:3, :3]).as_quat(scalar_first=True)
+        pose = " ".join(map(repr, map(float, [*turn, *view.world_to_camera[:3, 3]])))
+        # In no order; the line of what is seen may be empty.
+        images[1:1] = [f"{number + 1} {pose} {number % 2 + 7} view {number:02d}.png", "1 2 -1" * (number % 2)]
+        seen = view.position + view.rays(view.pixel_centres()) * distance.reshape(-1, 1)
+        points += [f"{len(points)} {' '.join(map(repr, map(float, p)))} 9 9 9 0.5 1 0" for p in seen[::41]]
+    for name, lines in (("cameras", cameras), ("images", images), ("points3D", points)):
+        (folder / place / f"{name}.txt").write_text("\n".join([*lines, ""]))
     return folder
 
 

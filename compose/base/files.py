@@ -134,6 +134,31 @@ def _write_to_stream(target: Path | int, name: str, write: Callable[[Path], obje
 
 
 @contextlib.contextmanager
+def whole_folder(folder: Path, last: str) -> Iterator[Path]:
+    """A folder to fill, which becomes the one that is named at the end, or is removed after an error.
+
+    That must be missing or empty; as it may be the working one, or a link, an empty one stays, and is filled
+    with what was written. `last` is moved last: without it, the folder's content is not taken for whole.
+    UserError if it exists otherwise, or cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UserError(f"{folder}: exists already; name another folder, or remove it")
+    part = (folder if folder.is_dir() else folder.parent) / f"{PART_PREFIX}{secrets.token_hex(8)}"
+    try:
+        part.mkdir(parents=True)
+        yield part
+        if folder.is_dir():
+            for made in sorted(part.iterdir(), key=lambda made: made.name == last):
+                os.replace(made, folder / made.name)
+        else:
+            os.replace(part, folder)
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+@contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keeps other processes that ask for the same out of a folder, where the system can."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,9 @@
-"""`hybrid export` and `hybrid import`: files of 3D Gaussian splatting, and glTF scenes."""
+"""`hybrid export` and `hybrid import`: files of 3D Gaussian splatting, glTF scenes, data sets of COLMAP."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,29 +11,49 @@ from compose.base.errors import UserError
 from hybrid.cli import options as o
 from splat.model.choices import Precision
 
+if TYPE_CHECKING:
+    from splat.model.gaussians import Gaussians
+
 
 def export_file(
-    forest: o.ForestArgument,
+    source: Annotated[
+        Path, typer.Argument(metavar="FOREST|FRAMES", help="Forest file, or folder of a frame set.")
+    ],
     output: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help=".ply to write, or .splat, .ksplat, .spz or .sog."),
+        typer.Argument(
+            metavar="FILE|FOLDER",
+            help=".ply to write, or .glb, .splat, .ksplat, .spz or .sog; of frames, a new folder.",
+        ),
     ],
     layer: Annotated[
         int | None,
         typer.Option(help="Layer to write, from 1, the coarsest. Default: the finest.", show_default=False),
     ] = None,
 ) -> None:
-    """Write one layer of a forest as a file that other viewers of 3D Gaussian splatting open."""
+    """Write one layer of a forest as a file that other viewers of 3D Gaussian splatting open.
+
+    Or the frames of a frame set as a data set of COLMAP, on which other programs train.
+    """
+    if source.is_dir():
+        if layer is not None:
+            raise UserError(f"--layer: only of a forest; {source} is a folder of frames")
+        from pathtrace.dataset.colmap_layout import write_colmap
+        from pathtrace.dataset.frame_set import read_frame_set
+
+        images, points = write_colmap(read_frame_set(source), output)
+        print(f"{output}: {images:,} images, {points:,} points")
+        return
     from splat.io.forest_file import load_forest
     from splat.io.other_formats import format_of, save_gaussians
     from splat.model.points import in_world
 
     format_of(output)
-    loaded = load_forest(forest)
+    loaded = load_forest(source)
     layers = loaded.layers
     number = len(layers) if layer is None else layer
     if not 1 <= number <= len(layers):
-        raise UserError(f"--layer {layer}: {forest} has layers 1 to {len(layers)}")
+        raise UserError(f"--layer {layer}: {source} has layers 1 to {len(layers)}")
     gaussians = in_world(layers[number - 1].gaussians, loaded.place)
     save_gaussians(output, gaussians)
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
@@ -44,7 +64,8 @@ def import_file(
         Path,
         typer.Argument(
             metavar="FILE",
-            help="File of 3D Gaussian splatting (.ply, .splat, .ksplat, .spz, .sog), or .glb or .gltf.",
+            help="File of 3D Gaussian splatting (.ply, .splat, .ksplat, .spz, .sog, .glb, .gltf), or scene "
+            "in .glb or .gltf.",
         ),
     ],
     target: Annotated[
@@ -69,20 +90,17 @@ def import_file(
     ] = None,
     precision: o.NumberPrecision = Precision.COMPACT,
 ) -> None:
-    """Read a file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
-    if source.suffix.lower() in (".glb", ".gltf"):
-        o.select("auto")
-        from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
+    """Read a file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves.
 
-        with o.option_names("animation", "fps"):
-            found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
-        moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
-        print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
-        for remark in found.remarks:
-            print(remark)
+    A glTF file without triangles that has Gaussians (KHR_gaussian_splatting) becomes a forest.
+    """
+    is_gltf = source.suffix.lower() in (".glb", ".gltf")
+    gaussians = _of_gltf(source) if is_gltf else None
+    if is_gltf and gaussians is None:
+        _import_scene(source, target, fps, animation)
         return
     if fps is not None or animation is not None:
-        raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
+        raise UserError(f"--fps, --animation: only of scenes in .glb and .gltf files; {source} is none")
     from splat.io.compact import compact
     from splat.io.forest_file import save_forest
     from splat.io.other_formats import load_gaussians
@@ -91,10 +109,40 @@ def import_file(
     from splat.model.layer import static_layer
     from splat.model.points import from_world, place_of_gaussians
 
-    gaussians = load_gaussians(source)
+    gaussians = load_gaussians(source) if gaussians is None else gaussians
     place = place_of_gaussians(gaussians)
     layer = static_layer(from_world(gaussians, place))
     # Without a hash of a scene: it fits any.
     imported = forest_of([layer], UNBOUND_FOCAL, source.stem, "", place)
     save_forest(target, imported if precision is Precision.FLOAT32 else compact(imported))
     print(f"{target}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
+
+
+def _of_gltf(source: Path) -> Gaussians | None:
+    """The Gaussians of a glTF file; None of one that shows triangles, or none."""
+    from pathtrace.gltf.gaussians import read_gaussians
+    from splat.io.gltf_gaussians import gaussians_from
+    from splat.model.gaussians import concatenated
+
+    remarks: list[str] = []
+    parts = read_gaussians(source, remarks)
+    try:
+        found = [gaussians_from(**vars(part)) for part in parts]
+    except ValueError as error:
+        raise UserError(f"{source}: {error}") from error
+    for remark in remarks:
+        print(remark)
+    return concatenated(found) if found else None
+
+
+def _import_scene(source: Path, target: Path, fps: float | None, animation: str | None) -> None:
+    """Writes a folder with the scene of a glTF file, and says what it is."""
+    o.select("auto")
+    from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
+
+    with o.option_names("animation", "fps"):
+        found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
+    moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
+    print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
+    for remark in found.remarks:
+        print(remark)

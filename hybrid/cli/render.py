@@ -127,8 +127,8 @@ def render(
 ) -> None:
     """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace.
 
-    A folder of third-party posed images (D-NeRF, nerfstudio, Nerfies, HyperNeRF, NeRF-DS) has no scene: its
-    frames are splats alone.
+    A folder of third-party posed images (D-NeRF, nerfstudio, COLMAP, Nerfies, HyperNeRF, NeRF-DS) has no
+    scene: its frames are splats alone.
     """
     from pathtrace.dataset.posed_layouts import is_posed_folder
 

@@ -59,7 +59,7 @@ def train(
     """Train a forest on a frame set; resumes if interrupted.
 
     Also on third-party posed images, without a scene: folders in the layout of NeRF-synthetic, D-NeRF,
-    nerfstudio, instant-ngp, Nerfies, HyperNeRF or NeRF-DS.
+    nerfstudio, instant-ngp, COLMAP, Nerfies, HyperNeRF or NeRF-DS.
     """
     o.select(backend)
     from hybrid.base.cache_folder import has_receipt, store_forest

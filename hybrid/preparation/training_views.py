@@ -43,7 +43,7 @@ def read_frames(folder: Path) -> Frames:
             raise
         raise UserError(
             f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor third-party "
-            "frames in a known layout (no transforms_train.json, no dataset.json)"
+            "frames in a known layout (no transforms_train.json, dataset.json or sparse/0)"
         ) from None
 
 

@@ -1,7 +1,7 @@
 """Third-party images with known cameras and times: their folder, their lens, and their pixels without it.
 
-The model of the lens is that of Nerfies' cameras, and of OpenCV: three radial and two tangential
-coefficients, and skew.
+The model of the lens is that of Nerfies' cameras, and of OpenCV: radial coefficients, two tangential ones,
+and skew.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
@@ -25,6 +26,10 @@ _LEAST_LEFT = 0.5
 _TOLERANCE = 0.5
 # In labels that are masks of COLMAP, named ID.png.png, what is dark moves; in others, what is not zero does.
 _COLMAP_SUFFIX = ".png.png"
+# Of more images than this, each n-th is held out if nobody says which, as is convention.
+HELD_OUT_EVERY = 8
+# Where a PNG file says how many bits each channel has.
+_BITS_AT = 24
 _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 
 
@@ -32,18 +37,20 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 class Lens:
     """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
 
-    Skew is in pixels to the right per unit downwards on the image plane.
+    Skew is in pixels to the right per unit downwards on the image plane. The divisor has k4, k5 and k6 of
+    OpenCV's rational model, by which what k1, k2 and k3 give is divided.
     """
 
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
+    divisor: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Where points of the image plane at depth 1 appear on it."""
-        (k1, k2, k3), (p1, p2) = self.radial, self.tangential
+        (k1, k2, k3), (k4, k5, k6), (p1, p2) = self.radial, self.divisor, self.tangential
         r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         return (
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
@@ -58,14 +65,14 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
     ValueError if the distortion is too strong: it folds, or leaves less than half of the frame.
     """
     # Lenses of damaged files overflow, and are refused.
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         x, y = _sources(camera, lens)
         rows, columns = _valid_rectangle(camera, x, y)
     at = np.stack([y[rows, columns], x[rows, columns]])
     _, height, width = at.shape
     if height * width < _LEAST_LEFT * x.size or _folds(at[1], at[0]):
         raise ValueError(
-            f"distortion {[*lens.radial, *lens.tangential]} is too strong for an image of "
+            f"distortion {[*lens.radial, *lens.tangential, *lens.divisor]} is too strong for an image of "
             f"{camera.width} x {camera.height} pixels; undistort the images first"
         )
     cut = camera.cropped(columns.start, rows.start, width, height)
@@ -198,11 +205,11 @@ def read_size(path: Path) -> tuple[int, int]:
 
 def read_pixels(image: PosedImage) -> PosedPixels:
     """The pixels of a posed image; UserError if a file is missing or damaged, or too distorted."""
-    planes = [_decoded(image.file, "RGBA")[..., channel] / 255.0 for channel in range(4)]
+    planes = list(np.moveaxis(_decoded(image.file), -1, 0))
     if image.labels is not None:
-        labels = _decoded(image.labels, "L")
+        labels = _decoded(image.labels)[..., :3].mean(axis=-1)
         is_mask = image.labels.name.endswith(_COLMAP_SUFFIX)
-        planes.append(np.asarray(labels < 128 if is_mask else labels > 0, dtype=np.float64))
+        planes.append(np.asarray(labels < 0.5 if is_mask else labels > 0, dtype=np.float64))
     camera = image.camera
     if image.lens is not None:
         try:
@@ -220,13 +227,28 @@ def read_pixels(image: PosedImage) -> PosedPixels:
     )
 
 
-def _decoded(path: Path, mode: str) -> NDArray[np.float64]:
-    """Values from 0 to 255 of an image, (H, W) or (H, W, channels)."""
+def _decoded(path: Path) -> NDArray[np.float64]:
+    """(H, W, 4) red, green, blue and alpha of an image, from 0 to 1."""
     with _opened(path) as image:
         try:
-            return np.asarray(image.convert(mode), dtype=np.float64)
-        except (OSError, SyntaxError, ValueError) as error:
+            if not _is_deep(path, image):
+                return np.asarray(image.convert("RGBA"), dtype=np.float64) / 255
+            # Pillow reduces most of these to 8 bits; its checksums are tried first.
+            image.load()
+            values = np.atleast_3d(np.array(mi.Bitmap(str(path)), dtype=np.float64)) / 65535
+        except (OSError, SyntaxError, ValueError, RuntimeError) as error:
             raise UserError(f"{path}: not a readable image ({one_line(error)})") from error
+    colours, alpha = (values[..., :3], values[..., 3:]) if values.shape[2] > 2 else np.split(values, [1], 2)
+    shape = *values.shape[:2], 3
+    return np.dstack([np.broadcast_to(colours, shape), alpha if alpha.size else np.ones(shape[:2])])
+
+
+def _is_deep(path: Path, image: PillowImage.Image) -> bool:
+    """Whether an image is a PNG file with 16 bits per channel."""
+    if image.format != "PNG":
+        return False
+    with path.open("rb") as file:
+        return file.read(_BITS_AT + 1)[-1] == 16
 
 
 def _opened(path: Path) -> PillowImage.Image:
@@ -237,9 +259,9 @@ def _opened(path: Path) -> PillowImage.Image:
         raise UserError(f"{path}: this image is missing") from error
     except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError) as error:
         raise UserError(f"{path}: not a readable image ({one_line(error)})") from error
-    if image.mode not in _MODES or image.width * image.height > MOST_PIXELS:
+    if (image.mode not in _MODES and not _is_deep(path, image)) or image.width * image.height > MOST_PIXELS:
         raise UserError(
             f"{path}: {image.width} x {image.height} pixels of {image.mode}; must have 8 bits per channel, "
-            f"and at most {MOST_PIXELS:,} pixels"
+            f"or 16 in a PNG file, and at most {MOST_PIXELS:,} pixels"
         )
     return image

@@ -18,6 +18,8 @@ camera/ID.json   orientation (rows are the axes x right, y down, z forward), pos
 rgb/1x/ID.png    images, also at 1/2, 1/4 ... of their size: 2x, 4x ...
 mask/1x/ID.png   label images: what is not 0 moves; named ID.png.png, masks of COLMAP: what is dark moves
 points.npy       some points that the images show
+
+That of COLMAP's data sets is in `colmap_layout`.
 """
 
 from __future__ import annotations
@@ -37,8 +39,10 @@ from compose.base.errors import UserError, file_inside, one_line, reading, scene
 from compose.base.files import read_json, require_size_below
 from compose.camera.camera import Camera, camera_from_pose
 from compose.camera.coordinate_systems import opencv_from_opengl
+from pathtrace.dataset.colmap_layout import LAYOUT as COLMAP
+from pathtrace.dataset.colmap_layout import model_of, read_colmap
 from pathtrace.dataset.frame_set import time_of
-from pathtrace.dataset.posed_images import Lens, PosedFolder, PosedImage, read_size
+from pathtrace.dataset.posed_images import HELD_OUT_EVERY, Lens, PosedFolder, PosedImage, read_size
 
 # Name of a scene whose folder has one that no scene can have.
 _UNNAMED = "frames"
@@ -48,8 +52,6 @@ TRAINING = "transforms_train.json"
 _HELD_OUT = "transforms_test.json", "transforms_val.json"
 NERFSTUDIO = "nerfstudio or instant-ngp"
 TRANSFORMS = "transforms.json"
-# Of more frames than this, each n-th is held out if nobody says which, as is convention.
-_HELD_OUT_EVERY = 8
 _IMAGES = ".png", ".jpg", ".jpeg"
 # Lenses without distortion, or with that of OpenCV; others are refused.
 _LENSES = "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"
@@ -68,7 +70,8 @@ _ROUNDING = 2
 
 def is_posed_folder(folder: Path) -> bool:
     """Whether a folder has one of the layouts that can be read."""
-    return (folder / TRAINING).is_file() or (folder / DATASET).is_file() or _nerfstudio(folder) is not None
+    described = (folder / TRAINING).is_file() or (folder / DATASET).is_file()
+    return described or _nerfstudio(folder) is not None or model_of(folder) is not None
 
 
 def _nerfstudio(folder: Path) -> dict[str, Any] | None:
@@ -98,10 +101,13 @@ def read_posed_folder(folder: Path) -> PosedFolder:
         images, points, bounds = read_nerfies(folder)
     elif (content := _nerfstudio(folder)) is not None:
         layout, images = NERFSTUDIO, read_nerfstudio(folder, content)
+    elif (model := model_of(folder)) is not None:
+        layout = COLMAP
+        images, points = read_colmap(folder, model)
     else:
         raise UserError(
             f"{folder}: unknown layout; must be that of {SYNTHETIC} ({TRAINING}), of {NERFSTUDIO} "
-            f"({TRANSFORMS}) or of {NERFIES} ({DATASET})"
+            f"({TRANSFORMS}), of {NERFIES} ({DATASET}) or of {COLMAP} (sparse/0/cameras.bin)"
         )
     if all(image.held_out for image in images):
         raise UserError(f"{folder}: holds no frames to train on")
@@ -118,6 +124,7 @@ def _hash(images: list[PosedImage]) -> str:
         for file in (image.file, image.labels):
             if file is not None:
                 with reading(file):
+                    require_size_below(file, _MOST_BYTES)
                     state.update(hashlib.sha256(file.read_bytes()).digest())
     return state.hexdigest()
 
@@ -160,9 +167,9 @@ def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
         if named is not None:
             chosen = {_image_file(folder, name) for name in named}
             return [replace(image, held_out=image.file in chosen) for image in images]
-    if len(images) <= _HELD_OUT_EVERY:
+    if len(images) <= HELD_OUT_EVERY:
         return images
-    return [replace(image, held_out=number % _HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
+    return [replace(image, held_out=number % HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
 
 
 def _frames(path: Path, content: Any, held_out: bool) -> list[PosedImage]:

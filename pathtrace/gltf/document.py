@@ -8,7 +8,8 @@ from __future__ import annotations
 import functools
 import os
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,9 @@ from compose.base.errors import UserError, one_line
 from compose.base.files import parse_json, require_size_below
 from compose.camera.camera import Array
 
+GAUSSIANS = "KHR_gaussian_splatting"
 # Integers as positions need no more than what accessors say.
-EXTENSIONS = ("KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_mesh_quantization")
+EXTENSIONS = ("KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_mesh_quantization", GAUSSIANS)
 _MOST_BYTES = 1 << 31
 _MAGIC, _JSON, _BINARY = b"glTF", 0x4E4F534A, 0x004E4942
 # Of accessors.
@@ -74,6 +76,18 @@ class Document:
             return file.read_bytes()
         except (OSError, ValueError) as error:
             raise self.refused(f"{user}: {uri[:80]!r} cannot be read ({one_line(error)})") from error
+
+
+@contextmanager
+def undamaged(file: Path) -> Iterator[None]:
+    """Says of what goes wrong with a file's content that it is damaged, as a UserError.
+
+    The schema leaves extensions alone, and much that refers to something.
+    """
+    try:
+        yield
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
+        raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
 
 
 def read_document(file: Path) -> Document:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import secrets
-import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from compose.base.errors import UserError, one_line
-from compose.base.files import PART_PREFIX, write_whole
+from compose.base.files import whole_folder, write_whole
 from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
-from pathtrace.gltf.document import EXTENSIONS, Document, read_document
+from pathtrace.gltf.document import EXTENSIONS, Document, read_document, undamaged
 from pathtrace.gltf.lights import Light, brightness, camera, read_lights
 from pathtrace.gltf.materials import Materials, Textures, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
@@ -63,28 +59,8 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     one to play; without it, all play that move different things, else the first one. UserError if the file is
     damaged, or needs what is not known here; or the folder cannot be written.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise UserError(f"{folder}: exists already; name another folder, or remove it")
-    # A folder that is there may be the working one, or a link, and stays.
-    part = (folder if folder.is_dir() else folder.parent) / f"{PART_PREFIX}{secrets.token_hex(8)}"
-    try:
-        part.mkdir(parents=True)
-        try:
-            found = _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
-        except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
-            # The schema leaves extensions alone, and much that refers to something.
-            raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
-        if folder.is_dir():
-            # The scene last: without it, the folder has none.
-            for made in sorted(part.iterdir(), key=lambda made: made.name == _SCENE):
-                os.replace(made, folder / made.name)
-        else:
-            os.replace(part, folder)
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written ({one_line(error)})") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-    return found
+    with whole_folder(folder, _SCENE) as part, undamaged(file):
+        return _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
 
 
 class _Import:

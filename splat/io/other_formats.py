@@ -1,6 +1,6 @@
-"""Files of Gaussians by their names: PLY, and the compressed formats of web viewers.
+"""Files of Gaussians by their names: PLY, GLB, and the compressed formats of web viewers.
 
-Those are converted by the library gaussforge. It is native code, which may crash on a damaged file, so it
+The last are converted by the library gaussforge. It is native code, which may crash on a damaged file, so it
 works in a process of its own.
 """
 
@@ -17,11 +17,13 @@ import torch
 
 from compose.base.errors import UserError, one_line, reading
 from compose.base.files import require_size_below, write_whole
+from splat.io.gltf_gaussians import save_glb
 from splat.io.ply import load_ply, save_ply
 from splat.model.gaussians import Gaussians
 
-# The ends of their names, and what gaussforge calls them.
-_FORMATS = "ksplat", "ply", "sog", "splat", "spz"
+# The ends of their names: of those that are written here, and of those that gaussforge writes and calls so.
+_WRITERS = {"glb": save_glb, "ply": save_ply}
+_FORMATS = (*_WRITERS, "ksplat", "sog", "splat", "spz")
 # Of a compressed file: a billion Gaussians.
 _MOST_BYTES = 1 << 34
 # Of a compressed PLY file, enough to name its properties.
@@ -55,7 +57,7 @@ def format_of(path: Path) -> str:
 
 
 def load_gaussians(path: Path) -> Gaussians:
-    """Reads Gaussians in any of the formats; a PLY file may have any name.
+    """Reads Gaussians in any of the formats but glTF; a PLY file may have any name.
 
     UserError as of `load_ply`, if the name tells no format, or gaussforge is needed and not installed.
     """
@@ -67,7 +69,7 @@ def load_gaussians(path: Path) -> Gaussians:
     kind = "ply" if head.startswith(b"ply") else format_of(path)
     if b"packed_position" in head:
         kind = "compressed.ply"
-    if kind == "ply" or not head:
+    if kind in _WRITERS or not head:
         return load_ply(path)
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "plain.ply"
@@ -84,8 +86,9 @@ def save_gaussians(path: Path, gaussians: Gaussians) -> None:
 
     UserError as of `save_ply`, if the name tells none, or gaussforge is needed and not installed.
     """
-    if (kind := format_of(path)) == "ply":
-        save_ply(path, gaussians)
+    kind = format_of(path)
+    if kind in _WRITERS:
+        _WRITERS[kind](path, gaussians)
         return
     with tempfile.TemporaryDirectory() as folder:
         plain, packed = Path(folder) / "plain.ply", Path(folder) / "packed"

@@ -16,6 +16,7 @@ from compose.base.errors import UserError
 from compose.base.files import write_whole
 from hybrid.base.journal import Journal
 from hybrid.render.image_files import write_exr, write_mp4, write_srgb
+from splat.io.gltf_gaussians import save_glb
 from splat.io.ply import save_ply
 from splat.io.tensors import load_tensors, save_tensors
 from tests import small
@@ -119,13 +120,14 @@ WRITERS = {
     "a.exr": lambda path: write_exr(path, {"": _noise(160) / np.float32(7)}),
     "a.safetensors": lambda path: save_tensors(path, {"a": torch.rand(20_000)}, {}),
     "a.ply": lambda path: save_ply(path, gaussians("overlap", n=900, degree=1)),
+    "a.glb": lambda path: save_glb(path, gaussians("overlap", n=900, degree=1)),
     "a.mp4": _mp4,
 }
 
 
 @extreme(
     "disk full",
-    given="files of at most 4 kB, for text, PNG, EXR, safetensors, PLY and MP4",
+    given="files of at most 4 kB, for text, PNG, EXR, safetensors, PLY, GLB and MP4",
     expected="one line each, the file before unchanged, nothing left behind",
 )
 def test_a_full_disk_leaves_the_file_before(tmp_path, got):

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import torch
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import read_json
 from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 from compose.eye.display import display_named
@@ -21,14 +22,17 @@ from compose.image.exr import write_channels
 from hybrid.base.journal import Journal
 from hybrid.render.image_files import read_exr
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
+from pathtrace.dataset.colmap_model import ModelPoints, read_model, write_model
 from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
 from pathtrace.dataset.posed_images import read_pixels
 from pathtrace.dataset.posed_layouts import read_posed_folder
+from pathtrace.gltf.gaussians import read_gaussians
 from pathtrace.gltf.importing import import_gltf
 from pathtrace.region.camera_path import read_path
 from pathtrace.scene.scene_xml import read_description
 from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
+from splat.io.gltf_gaussians import gaussians_from, save_glb
 from splat.io.ply import load_ply, save_ply
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
@@ -94,6 +98,23 @@ def _all_pixels(path: Path) -> None:
         read_pixels(image)
 
 
+def _colmap(path: Path) -> None:
+    """A data set of COLMAP with a binary model, which is that of a text."""
+    folder = posed.write_colmap(path.parent, 2, ".")
+    model = read_model(folder)
+    seen = np.zeros(len(model.points), np.int64)
+    colours = np.zeros((len(seen), 3), np.uint8)
+    write_model(folder, model, ModelPoints(model.points, colours, seen, model.points[:, :2]))
+
+
+def _deep_image(path: Path) -> None:
+    """Frames of which one has 16 bits per channel."""
+    file = posed.write_synthetic(path.parent, 1, 0) / "transforms_train.json"
+    file.write_text(file.read_text().replace("./train/r_000", path.name))
+    values = small.rng().integers(0, 1 << 16, (posed.HEIGHT, posed.WIDTH, 3)).astype(np.uint16)
+    mi.Bitmap(values).write(str(path))
+
+
 def _journal(path: Path) -> None:
     Journal(path, IDENTITY)["first"] = [1, 2.5, {"a": None}]
 
@@ -129,6 +150,15 @@ def _import(path: Path) -> None:
     folder = path.parent / "imported"
     shutil.rmtree(folder, ignore_errors=True)
     import_gltf(path, folder, fps=2)
+
+
+def _splats(path: Path) -> None:
+    parts = read_gaussians(path, [])
+    try:
+        for part in parts:
+            gaussians_from(**vars(part))
+    except ValueError as error:
+        raise UserError(one_line(error)) from error
 
 
 _SCENE = """<scene version="3.0.0"><default name="d" value="a"/><path value="b"/>
@@ -173,6 +203,7 @@ READERS = {
     "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
     "glTF": Reader("a.gltf", _gltf, _import),
     "GLB": Reader("a.glb", _gltf, _import),
+    "GLB of Gaussians": Reader("g.glb", lambda p: save_glb(p, gaussians("overlap", n=5, degree=1)), _splats),
     **{
         f"frames of others, {name}": Reader(name, make, _all_pixels)
         for name, make in (
@@ -181,6 +212,13 @@ READERS = {
             ("metadata.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
             ("scene.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
             ("points.npy", lambda p: posed.write_nerfies(p.parent, 2, 1)),
+            ("cameras.txt", lambda p: posed.write_colmap(p.parent, 2, ".")),
+            ("images.txt", lambda p: posed.write_colmap(p.parent, 2, ".")),
+            ("points3D.txt", lambda p: posed.write_colmap(p.parent, 2, ".")),
+            ("cameras.bin", _colmap),
+            ("images.bin", _colmap),
+            ("points3D.bin", _colmap),
+            ("deep.png", _deep_image),
         )
     },
     "scene": Reader("scene.xml", lambda p: p.write_text(_SCENE), read_description),

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from compose.base.errors import UserError
-from compose.base.files import locked, require_size_below, write_whole
+from compose.base.files import locked, require_size_below, whole_folder, write_whole
 
 
 def test_a_file_and_its_folder_are_made(tmp_path):
@@ -247,3 +247,39 @@ print("after")
         subprocess.run([sys.executable, "-c", script], stdout=out, check=True, cwd=tmp_path, env=environment)
     assert (tmp_path / "out.txt").read_text().split() == ["before", "content", "after"]
     assert (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_folder_appears_whole(tmp_path, is_there):
+    target = tmp_path / "a"
+    if is_there:
+        target.mkdir()
+    with whole_folder(target, "last") as part:
+        for name in ("last", "z"):
+            (part / name).write_text(name)
+        assert not list(target.glob("[!.]*"))
+    assert sorted(path.name for path in target.iterdir()) == ["last", "z"]
+    assert list(tmp_path.iterdir()) == [target]
+    with pytest.raises(UserError, match="a: exists already"), whole_folder(target, "last"):
+        pass
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_a_folder_that_is_not_whole_does_not_appear(tmp_path, error):
+    def write() -> None:
+        with whole_folder(tmp_path / "a", "last") as part:
+            (part / "z").write_text("z")
+            raise error
+
+    with pytest.raises((KeyboardInterrupt, UserError)):
+        write()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_last_entry_of_a_folder_is_moved_last(tmp_path, monkeypatch):
+    moved = []
+    monkeypatch.setattr(os, "replace", lambda source, target: moved.append(Path(target).name))
+    with whole_folder(tmp_path, "a") as part:
+        for name in ("a", "b", "c"):
+            (part / name).write_text(name)
+    assert moved[-1] == "a"

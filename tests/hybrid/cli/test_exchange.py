@@ -6,6 +6,8 @@ import pytest
 import torch
 
 from hybrid.cli.exchange import export_file, import_file
+from pathtrace.dataset.frame_set import read_frame_set
+from pathtrace.dataset.posed_layouts import read_posed_folder
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.io.ply import load_ply
@@ -80,13 +82,13 @@ def test_a_gltf_file_in_which_nothing_moves_says_so(monkeypatch, tmp_path, capsy
 @pytest.mark.parametrize("option", [("--fps", 24), ("--animation", "walk")])
 def test_options_of_gltf_are_refused_for_ply(option, monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, "import", tmp_path / "a.ply", tmp_path / "a.forest", *option) == 2
-    assert "--fps, --animation: only of .glb and .gltf files" in capsys.readouterr().err
+    assert "--fps, --animation: only of scenes in .glb and .gltf files" in capsys.readouterr().err
 
 
 def test_a_name_that_tells_no_format_is_refused(made, monkeypatch, tmp_path, capsys):
     for name in ("a.xyz", "a"):
         assert run(monkeypatch, "export", made / "box.forest", tmp_path / name) == 2
-        assert f"{name}: must end in .ksplat, .ply" in capsys.readouterr().err
+        assert f"{name}: must end in .glb, .ply" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -95,3 +97,30 @@ def test_other_formats_are_exported_and_imported(made, monkeypatch, tmp_path):
     assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.spz") == 0
     assert run(monkeypatch, "import", tmp_path / "a.spz", tmp_path / "b.forest") == 0
     assert load_forest(tmp_path / "b.forest").counts == (len(load_forest(made / "box.forest").finest),)
+
+
+def test_gaussians_go_out_and_in_as_gltf(made, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.glb") == 0
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.ply") == 0
+    assert (
+        run(monkeypatch, "import", tmp_path / "a.glb", tmp_path / "b.forest", "--precision", "float32") == 0
+    )
+    assert run(monkeypatch, "export", tmp_path / "b.forest", tmp_path / "b.ply") == 0
+    found, expected = load_ply(tmp_path / "b.ply"), load_ply(tmp_path / "a.ply")
+    for name, bound in (("means", 1e-6), ("log_scales", 1e-5), ("opacity_logits", 1e-3)):
+        ours, theirs = (getattr(gaussians, name).sort(dim=-1).values for gaussians in (found, expected))
+        assert (ours - theirs).abs().max() < bound
+    capsys.readouterr()
+    options = ["--animation", "bend"]
+    assert run(monkeypatch, "import", tmp_path / "a.glb", tmp_path / "c.forest", *options) == 2
+    assert "only of scenes in .glb and .gltf files" in capsys.readouterr().err
+
+
+def test_frames_are_exported_as_a_data_set_of_colmap(made, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "export", made / "frames", tmp_path / "out") == 0
+    frames, found = read_frame_set(made / "frames"), read_posed_folder(tmp_path / "out")
+    said = f"out: {len(frames.entries)} images, {len(found.points):,} points\n"
+    assert capsys.readouterr().out.endswith(said)
+    assert [image.held_out for image in found.images] == [entry.held_out for entry in frames.entries]
+    assert run(monkeypatch, "export", made / "frames", tmp_path / "b", "--layer", 1) == 2
+    assert "--layer: only of a forest" in capsys.readouterr().err

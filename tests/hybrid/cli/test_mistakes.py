@@ -70,7 +70,7 @@ MISTAKES = {
     "JSON into a folder": (["doctor", "--json", "{tmp}"], "--json {tmp}"),
     "JSON without a name": (["doctor", "--json", ""], "--json .: cannot be written"),
     "JSON of a bench": (["bench", "raster", "--json", "."], "--json .: cannot be written"),
-    "a PLY without a name": (["export", "{made}/box.forest", "."], ".: must end in .ksplat"),
+    "a PLY without a name": (["export", "{made}/box.forest", "."], ".: must end in .glb"),
     "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
     "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: cannot be read (element vertex x"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),

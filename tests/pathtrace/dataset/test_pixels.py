@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from PIL import Image
@@ -70,3 +71,29 @@ def test_a_truncated_image_is_refused(tmp_path):
     image.file.write_bytes(content[: len(content) // 2])
     with pytest.raises(UserError, match="not a readable image"):
         read_pixels(image)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_16_bits_of_a_png_are_kept(tmp_path, backend, channels):
+    image = read_posed_folder(posed.write_synthetic(tmp_path / "a")).training[0]
+    shape = image.camera.height, image.camera.width, channels
+    values = np.random.default_rng(0).integers(0, 1 << 16, shape).astype(np.uint16)
+    mi.Bitmap(values).write(str(image.file))
+    found = read_pixels(image)
+    part = values.astype(np.float64) / 65535
+    colour = part[..., :3] if channels > 2 else part[..., :1].repeat(3, axis=2)
+    alpha = part[..., -1:] if channels in (2, 4) else np.ones((*shape[:2], 1))
+    # 8 bits would be off by up to 0.002.
+    assert np.allclose(srgb_from_radiance(found.radiance), colour * alpha + 1 - alpha, atol=2e-6)
+    assert (found.alpha is None) == (channels in (1, 3))
+
+
+def test_a_truncated_image_of_16_bits_is_refused(tmp_path, backend):
+    image = read_posed_folder(posed.write_synthetic(tmp_path / "a")).training[0]
+    values = np.random.default_rng(0).integers(0, 1 << 16, (32, 48, 3)).astype(np.uint16)
+    mi.Bitmap(values).write(str(image.file))
+    content = image.file.read_bytes()
+    for size in (40, len(content) // 2):
+        image.file.write_bytes(content[:size])
+        with pytest.raises(UserError, match=r"r_000\.png: not a readable image"):
+            read_pixels(image)

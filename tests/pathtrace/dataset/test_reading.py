@@ -250,9 +250,9 @@ SYNTHETIC = {
         lambda f: (f / "train/r_001.png").write_text("hello"),
         "r_001.png: not a readable image",
     ),
-    "16 bits per channel": (
-        lambda f: Image.fromarray(np.ones((8, 8), np.uint16)).save(f / "train/r_001.png"),
-        "must have 8 bits per channel",
+    "32 bits per channel": (
+        lambda f: Image.fromarray(np.ones((8, 8), np.float32)).save(f / "train/r_001.png", format="TIFF"),
+        "must have 8 bits per channel, or 16 in a PNG file",
     ),
 }
 NERFIES = {

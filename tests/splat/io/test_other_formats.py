@@ -127,7 +127,7 @@ def test_a_name_that_tells_no_format_is_refused_unless_the_file_is_a_ply(tmp_pat
     assert len(load_gaussians(tmp_path / "a.bin")) == 200
     (tmp_path / "b.bin").write_bytes(b"something else")
     for act in (lambda: load_gaussians(tmp_path / "b.bin"), lambda: save_gaussians(tmp_path / "c", some(0))):
-        with pytest.raises(UserError, match=r"must end in \.ksplat, \.ply"):
+        with pytest.raises(UserError, match=r"must end in \.glb, \.ply, \.ksplat"):
             act()
     with pytest.raises(UserError, match=r"a\.spz: no such file"):
         load_gaussians(tmp_path / "a.spz")
