@@ -88,7 +88,7 @@ def project(
         viewmats: (..., C, 4, 4) world to camera.
         Ks: (..., C, 3, 3) focal lengths and principal points in pixels; what else they hold is ignored.
     """
-    mean = [means[..., None, :, i] for i in range(3)]
+    mean = [part[..., None, :] for part in means.movedim(-1, 0).contiguous()]
     rotation = [[viewmats[..., i, j, None] for j in range(3)] for i in range(3)]
     x, y, z = (_dot(rotation[i], mean) + viewmats[..., i, 3, None] for i in range(3))
     seen = (z >= limits.near) & (z <= limits.far) & (z > 0)
@@ -138,15 +138,12 @@ def harmonic_colours(
     """
     eye = torch.linalg.inv(viewmats)[..., :3, 3]
     direction = _normalized([means[..., None, :, i] - eye[..., i, None] for i in range(3)])
-    if sh.dim() == means.dim() + 1:
-        sh = sh[..., None, :, :, :]
     count = (degree + 1) ** 2
-    constant, *others = sh[..., :count, :].unbind(-2)
-    basis = sh_basis(count, direction)
-    total = 0.5 + basis[0] * constant
-    for harmonic, value in zip(others, basis[1:], strict=True):
-        total = torch.addcmul(total, harmonic, value[..., None])
-    return total.expand(*direction[0].shape, 3).clamp(min=0)
+    constant, *others = sh_basis(count, direction)
+    basis = torch.stack([torch.full_like(direction[0], constant), *others], dim=-1)
+    per_camera = "c" if sh.dim() == means.dim() + 2 else ""
+    total = torch.einsum(f"...cnk,...{per_camera}nkd->...cnd", basis, sh[..., :count, :])
+    return (0.5 + total).clamp(min=0)
 
 
 def _film(
