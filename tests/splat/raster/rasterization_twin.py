@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
@@ -14,7 +12,7 @@ Float = NDArray[np.float64]
 
 @dataclass
 class Options:
-    """Arguments that are not differentiated, and whether each pixel's share in the gradient is wanted."""
+    """Arguments that are not differentiated."""
 
     width: int
     height: int
@@ -37,7 +35,7 @@ def rotation_matrix(quat: Float) -> Float:
 def harmonics(degree: int, d: Float) -> Float:
     """((degree + 1)^2,) real spherical harmonics of a direction, with the signs of 3D Gaussian splatting."""
     x, y, z = d / np.linalg.norm(d)
-    root = lambda number: np.sqrt(number / np.pi)
+    root = lambda number: np.sqrt(number / np.pi)  # noqa: E731
     basis = [
         root(1 / 4),
         -root(3 / 4) * y,
@@ -126,7 +124,8 @@ def render(v: dict[str, Float], o: Options) -> tuple[Float, Float]:
         image, left, going = np.zeros((*size, channels)), np.ones(size), np.ones(size, dtype=bool)
         for splat in sorted(found, key=lambda splat: splat.depth):
             d = pixels - splat.mean
-            alpha = np.minimum(splat.opacity * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", d, splat.inverse, d)), 0.999)
+            power = -0.5 * np.einsum("hwi,ij,hwj->hw", d, splat.inverse, d)
+            alpha = np.minimum(splat.opacity * np.exp(power), 0.999)
             going &= (alpha < 1 / 255) | (left * (1 - alpha) > 1e-4)
             weight = np.where(going & (alpha >= 1 / 255), alpha * left, 0)
             image += weight[..., None] * splat.channels
@@ -158,9 +157,7 @@ def slopes(v: dict[str, Float], name: str, o: Options, by_image: Float, by_opaci
     return found
 
 
-def sample(
-    count: int, cameras: int = 2, channels: tuple[int, ...] = (3,), seed: int = 0
-) -> dict[str, Float]:
+def sample(count: int, cameras: int = 2, channels: tuple[int, ...] = (3,), seed: int = 0) -> dict[str, Float]:
     """Overlapping Gaussians in front of cameras that look at them from the side, in no special position."""
     rng = np.random.default_rng(seed)
     viewmats = np.tile(np.eye(4), (cameras, 1, 1))
@@ -176,13 +173,3 @@ def sample(
         "viewmats": viewmats,
         "Ks": np.tile(np.array([[24.0, 0, 13], [0, 26, 9.5], [0, 0, 1]]), (cameras, 1, 1)),
     }
-
-
-def leaves(v: dict[str, Float]) -> dict[str, torch.Tensor]:
-    """The inputs for the rasterizer: float32 tensors that torch differentiates by."""
-    return {name: torch.tensor(value, dtype=torch.float32).requires_grad_() for name, value in v.items()}
-
-
-def arguments(o: Options) -> dict[str, Any]:
-    """The options as arguments of the rasterizer."""
-    return vars(o).copy()
