@@ -46,7 +46,7 @@ class Compositing:
     """How splats are composited, and which derivatives are wanted; part of a recording."""
 
     highest_alpha: float = MAXIMUM_ALPHA  # what alphas are cut to
-    # Whether a pixel ends in front of the splat behind which it would transmit 1e-4 or less (Kerbl et al. 2023).
+    # Whether a pixel ends in front of the splat behind which it would transmit 1e-4 or less (Kerbl et al.).
     ends_pixels: bool = False
     by_opacity: bool = False  # whether the derivative of the loss by the opacity is given, too
     absolute: bool = False  # whether absolute values of the pixels' derivatives by x and y are summed, too
@@ -180,9 +180,10 @@ _blend = Frozen(blend, by_size=True)
 
 
 def _composited(rules: Compositing, alpha: Any, transmittance: Any) -> tuple[Any, Any, Any]:
-    """Weight of a splat in pixels with so much transmittance in front of it, that behind it, whether it counts.
+    """Weight of a splat in pixels, their transmittance behind it, and whether it counts.
 
-    Where a pixel has ended, its transmittance is negative: it stays what it was, and nothing counts any more.
+    `transmittance` is that in front of it. Where a pixel has ended, it is negative: its absolute value stays
+    what it was, and nothing counts any more.
     """
     weight = alpha * transmittance
     behind = transmittance - weight

@@ -1,4 +1,4 @@
-"""`splat.rasterization`: Gaussians to images with the arguments and results of gsplat's function of that name."""
+"""`splat.rasterization`: Gaussians to images, with the arguments and results of gsplat's function."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def _images(
     means2d: torch.Tensor,
     absgrad: bool,
 ) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """Images and opacities, one by one, through those means2d; their absolute gradients will be an attribute."""
+    """Images and opacities, one by one, from those means2d, which get absolute gradients as an attribute."""
     numbers = [screen.x_precision, screen.shear, screen.y_precision]
     shown = torch.where(screen.drawn, screen.opacity, 0)
     lists = [means2d.reshape(-1, 2), *map(pairs.rows, [*numbers, shown, channels, screen.depth])]

@@ -154,7 +154,7 @@ def _flow(
 def listed_channels(
     arrays: Arrays, padded: PaddedRows, bounds: TileBounds, side: int
 ) -> tuple[Splats, Boxed, list[Records]]:
-    """Padded splats of the first three channels, boxed for tiles of that side, and what is blended of each three."""
+    """Padded splats of the first three channels, boxed for tiles of that side, and records of each three."""
     *shape, depth = (rows := padded.on(arrays))[: _SHAPE + 1]
     channels = rows[_SHAPE + 1 :]
     channels += [arrays.plain.Float(0) for _ in range(-len(channels) % AT_ONCE)]
@@ -171,8 +171,8 @@ def gradients_of_channels(
 ) -> Any:
     """Gradients by the numbers and channels of splats, one after the other in one array.
 
-    From the sums of `sums_of_parts`, the first six added up over all channels; `step` is the number of splats,
-    in memory.
+    From the sums of `sums_of_parts`, the first six added up over all channels; `step` is the number of
+    splats, in memory.
     """
     found = gradients_from_sums(splats, [*shape, *channels])
     size = dr.width(splats.x)

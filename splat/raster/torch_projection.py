@@ -134,7 +134,7 @@ def harmonic_colours(
 ) -> torch.Tensor:
     """(..., C, N, 3) colours of Gaussians as cameras see them, not negative; differentiable.
 
-    Of spherical harmonics (..., N, K, 3), or (..., C, N, K, 3), of which those up to a degree of 0 to 3 count.
+    Of spherical harmonics (..., N, K, 3), or (..., C, N, K, 3), of which those up to a degree, 0 to 3, count.
     """
     eye = torch.linalg.inv(viewmats)[..., :3, 3]
     direction = _normalized([means[..., None, :, i] - eye[..., i, None] for i in range(3)])

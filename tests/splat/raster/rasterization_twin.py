@@ -1,4 +1,4 @@
-"""A plain float64 twin of `splat.rasterization` in NumPy: one camera, one Gaussian and all pixels at a time."""
+"""A plain float64 twin of `splat.rasterization` in NumPy: one camera and one Gaussian at a time."""
 
 from __future__ import annotations
 

@@ -10,27 +10,30 @@ import torch
 
 from splat.raster.rasterization import rasterization
 from tests.conftest import real_file
+from tests.extremes import extreme
 from tests.splat.raster import rasterization_twin as twin
 from tests.splat.raster.rasterization_twin import Options, sample
 
+# Options, channels and number of Gaussians.
 CASES = {
-    "RGB": (Options(26, 19), (3,)),
-    "1 channel, expected depth only": (Options(26, 19, render_mode="ED"), (1,)),
+    "RGB": (Options(26, 19), (3,), 5),
+    "1 channel, expected depth only": (Options(26, 19, render_mode="ED"), (1,), 5),
     "7 channels and depth, antialiased": (
         Options(26, 19, render_mode="RGB+D", rasterize_mode="antialiased"),
         (7,),
+        4,
     ),
-    "harmonics and expected depth": (Options(26, 19, render_mode="RGB+ED", sh_degree=3), (16, 3)),
-    "2 channels, another filter": (Options(26, 19, eps2d=1.5, near_plane=2.8, far_plane=3.4), (2,)),
+    "harmonics and expected depth": (Options(26, 19, render_mode="RGB+ED", sh_degree=3), (16, 3), 2),
+    "2 channels, another filter": (Options(26, 19, eps2d=1.5, near_plane=2.8, far_plane=3.4), (2,), 5),
 }
 
 
 @pytest.fixture(params=CASES)
 def case(request) -> tuple[Options, dict[str, np.ndarray]]:
     """Options, and Gaussians in front of two cameras, with backgrounds."""
-    options, channels = CASES[request.param]
+    options, channels, count = CASES[request.param]
     behind = np.random.default_rng(3).uniform(size=(2, channels[-1]))
-    return options, sample(5, 2, channels) | {"backgrounds": behind}
+    return options, sample(count, 2, channels) | {"backgrounds": behind}
 
 
 @pytest.fixture
@@ -74,16 +77,16 @@ def test_gradients_equal_finite_differences(case, device):
             assert not expected.any(), name
         else:
             assert_close(leaf.grad, expected, 5e-4)
-    moved = v | {"offsets": np.zeros((2, 5, 2))}
+    moved = v | {"offsets": np.zeros((2, len(v["means"]), 2))}
     assert_close(meta["means2d"].grad, twin.slopes(moved, "offsets", options, by_image, by_opacity), 5e-4)
 
 
 def test_absolute_gradients_are_summed_over_pixels(device):
-    """Per pixel, by differences; the sum of their signed values is the gradient itself."""
+    """Of differences, pixel by pixel."""
     options, v = Options(26, 19), sample(4, 2)
-    image, opacity, meta = rasterization(**leaves(v, device), **vars(options), packed=False, absgrad=True)
+    image, _, meta = rasterization(**leaves(v, device), **vars(options), packed=False, absgrad=True)
     weights = np.random.default_rng(5).normal(size=image.shape)
-    (image * torch.tensor(weights, device=device)).sum().backward(retain_graph=False)
+    (image * torch.tensor(weights, device=device)).sum().backward()
     expected, step = np.zeros((2, 4, 2)), 1e-6
     for index in np.ndindex(expected.shape):
         moved = np.zeros(expected.shape)
@@ -91,6 +94,16 @@ def test_absolute_gradients_are_summed_over_pixels(device):
         up, down = (twin.render(v | {"offsets": sign * moved}, options)[0] for sign in (1, -1))
         expected[index] = np.abs((weights * (up - down)).sum(axis=-1)).sum() / (2 * step)
     assert_close(meta["means2d"].absgrad, expected, 5e-4)
+
+
+def test_the_opacity_alone_has_gradients(device):
+    options, v = Options(26, 19), sample(4)
+    inputs = leaves(v, device)
+    opacity = rasterization(**inputs, **vars(options))[1]
+    opacity.sum().backward()
+    expected = twin.slopes(v, "scales", options, np.zeros(1), np.ones(1))
+    assert_close(inputs["scales"].grad, expected, 5e-4)
+    assert inputs["colors"].grad is None or not inputs["colors"].grad.any()
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
@@ -231,19 +244,53 @@ def test_packed_lists_what_is_drawn_and_draws_the_same(device):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_batches_and_cameras_are_drawn_as_if_alone(device, packed):
-    scenes = [sample(4, 3, seed=seed) for seed in (0, 1)]
+    scenes = [sample(4, 2, seed=seed) for seed in (0, 1)]
     batch = leaves({name: np.stack([v[name] for v in scenes])[:, None] for name in scenes[0]}, device)
     image, opacity, meta = rasterization(**batch, width=26, height=19, packed=packed, render_mode="RGB+D")
-    assert image.shape == (2, 1, 3, 19, 26, 4)
-    assert opacity.shape == (2, 1, 3, 19, 26, 1)
+    assert image.shape == (2, 1, 2, 19, 26, 4)
+    assert opacity.shape == (2, 1, 2, 19, 26, 1)
     assert meta["n_batches"] == 2
     if packed:
         assert set(meta["batch_ids"].tolist()) == {0, 1}
     for number, v in enumerate(scenes):
-        for camera in range(3):
+        for camera in range(2):
             alone = v | {name: v[name][camera : camera + 1] for name in ("viewmats", "Ks")}
             own = rasterization(**leaves(alone, device), width=26, height=19, render_mode="RGB+D")
             torch.testing.assert_close(image[number, 0, camera], own[0][0], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        pytest.param(name, value, marks=extreme(f"rasterization, {title}", given=given, expected=expected))
+        for title, name, value, given, expected in (
+            ("scale 1e15", "scales", 1e15, "one among three", "finite image and gradients"),
+            ("scale 0", "scales", 0.0, "one among three", "finite image and gradients"),
+            ("quaternion of length 0", "quats", 0.0, "one among three", "finite image and gradients"),
+            ("at the camera", "means", 0.0, "one among three, camera there", "not drawn, finite gradients"),
+            ("NaN", "means", np.nan, "one among three", "not drawn, others as without it"),
+        )
+    ],
+)
+def test_extreme_gaussians_spoil_nothing(each_arrays, got, name, value):
+    v, drawn = sample(3), {"width": 26, "height": 19, "rasterize_mode": "antialiased"}
+    if name == "means":
+        v["viewmats"][:, :3, 3] = 0
+        v["means"][:, 2] += 3
+    v[name][0] = value
+    inputs = leaves(v, each_arrays.device)
+    for packed in (False, True):
+        image, opacity, _ = rasterization(**inputs, **drawn, packed=packed, render_mode="RGB+ED")
+        (image.sum() + opacity.sum()).backward()
+        assert torch.isfinite(image).all()
+        assert 0.1 < got(opacity.max().item(), ".3f") <= 1
+    for leaf in ("means", "quats", "scales", "opacities", "colors"):
+        assert torch.isfinite(inputs[leaf].grad[1:]).all(), leaf
+        assert np.isnan(value) or torch.isfinite(inputs[leaf].grad[0]).all(), leaf
+    if name == "means":
+        others = {k: x if k in ("viewmats", "Ks") else x[1:] for k, x in v.items()}
+        alone = rasterization(**leaves(others, each_arrays.device), **drawn)
+        assert torch.equal(alone[1], opacity)
 
 
 def test_float64_is_taken(device):
