@@ -155,13 +155,11 @@ def listed_channels(
     arrays: Arrays, padded: PaddedRows, bounds: TileBounds, side: int
 ) -> tuple[Splats, Boxed, list[Records]]:
     """Padded splats of the first three channels, boxed for tiles of that side, and records of each three."""
-    *shape, depth = (rows := padded.on(arrays))[: _SHAPE + 1]
-    channels = rows[_SHAPE + 1 :]
+    rows = padded.on(arrays)
+    shape, depth, channels = rows[:_SHAPE], rows[_SHAPE], rows[_SHAPE + 1 :]
     channels += [arrays.plain.Float(0) for _ in range(-len(channels) % AT_ONCE)]
-    splats = [
-        Splats(*shape, *channels[first : first + AT_ONCE], depth)
-        for first in range(0, len(channels), AT_ONCE)
-    ]
+    chunks = [channels[first : first + AT_ONCE] for first in range(0, len(channels), AT_ONCE)]
+    splats = [Splats(*[*shape, *chunk, depth]) for chunk in chunks]
     found = boxed(arrays, splats[0], bounds, side)
     return splats[0], found, [found.blended, *(packed(arrays, others) for others in splats[1:])]
 
