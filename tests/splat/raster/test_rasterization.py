@@ -96,6 +96,28 @@ def test_absolute_gradients_are_summed_over_pixels(device):
     assert_close(meta["means2d"].absgrad, expected, 5e-4)
 
 
+@pytest.mark.parametrize("aside", [-0.05, -0.2])
+def test_opaque_ones_and_those_beside_the_frame_equal_the_twins(device, aside):
+    """Alphas are cut, pixels end, and projections are linearized at the limit on each side of the frame."""
+    options, v = Options(26, 19), sample(8, 1)
+    # The first one is in front of the second, which is as wide as the frame, and the third one behind both.
+    v["opacities"][:3] = 0.96, 1, 0.9
+    v["means"][:3] = [[aside, 0, -0.8], [0, 0, 0], [-0.1, 0.1, 0.8]]
+    v["scales"][:3] = [[0.3], [3], [0.3]]
+    v["viewmats"][0, :3, :3] = np.eye(3)
+    v["scales"][4:] *= 4
+    v["means"][4:] = [[2.9, 0.1, -0.2], [-2.7, 0, 0.3], [0.2, 2.2, -0.1], [0, -2.1, 0.4]]
+    inputs = leaves(v, device)
+    image, _, _ = rasterization(**inputs, **vars(options))
+    expected, expected_opacity = twin.render(v, options)
+    assert expected_opacity.max() > 0.999
+    assert_close(image, expected, 1e-5)
+    weights = np.random.default_rng(5).normal(size=image.shape)
+    (image * torch.tensor(weights, device=device)).sum().backward()
+    for name in ("means", "opacities", "colors"):
+        assert_close(inputs[name].grad, twin.slopes(v, name, options, weights, np.zeros(1)), 5e-4)
+
+
 def test_the_opacity_alone_has_gradients(device):
     options, v = Options(26, 19), sample(4)
     inputs = leaves(v, device)
