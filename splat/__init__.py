@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from splat.model.forest import Forest as Forest
     from splat.model.gaussians import Gaussians as Gaussians
     from splat.raster.differentiable import render as render
+    from splat.raster.rasterization import rasterization as rasterization
 
 _MODULES = {
     "Camera": "compose.camera.camera",
@@ -35,6 +36,7 @@ _MODULES = {
     "load_forest": "splat.io.forest_file",
     "load_ply": "splat.io.ply",
     "look_at": "compose.camera.camera",
+    "rasterization": "splat.raster.rasterization",
     "render": "splat.raster.differentiable",
     "save_forest": "splat.io.forest_file",
     "save_ply": "splat.io.ply",

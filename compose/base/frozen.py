@@ -14,6 +14,8 @@ from compose.base.collector import collector_paused
 
 # Recordings of a function that are kept, and from how many made Dr.Jit would take them for a mistake.
 _KEPT, _MANY = 64, 1 << 30
+# Types of values that Dr.Jit confuses when they repeat.
+_PLAIN = {bool, int, float, str}
 # Sizes per octave that arrays are rounded up to, and the least one.
 _PER_OCTAVE, _LEAST = 4, 1024
 
@@ -52,12 +54,14 @@ class Passed:
 
 
 class Frozen:
-    """`dr.freeze` without two ways in which it stops or aborts the process (Dr.Jit 1.5).
+    """`dr.freeze` without two ways in which it stops or aborts the process, and one to be wrong (Dr.Jit 1.5).
 
     Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
     in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
     one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
-    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile.
+    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile. Of a number or
+    string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was replayed for
+    (True, False, False). So there is a hash of them all.
 
     What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
     it writes to must be made inside it: others are copied.
@@ -82,9 +86,9 @@ class Frozen:
     def replayed(self, arguments: tuple[Any, ...]) -> Any:
         """The flattened result; the collector is paused."""
         flat = flattened(arguments)
-        return self._recorded(flat, _widths(flat) if self._by_size else None)
+        return self._recorded(flat, hash(_key(flat, self._by_size)))
 
-    def _plain(self, arguments: Any, widths: Any) -> Any:
+    def _plain(self, arguments: Any, key: int) -> Any:
         """The function from flattened arguments to a flattened result; frozen."""
         return flattened(self._function(*rebuilt(arguments)))
 
@@ -115,11 +119,17 @@ def rebuilt(value: Any) -> Any:
     return kind(whole) if names is None else kind(**dict(zip(names, whole, strict=True)))
 
 
-def _widths(value: Any) -> Any:
-    """Widths of all arrays in what was flattened."""
-    if type(value) is tuple:
-        return None if value and value[0] is AnySize else tuple(map(_widths, value))
-    return dr.width(value) if isinstance(value, dr.ArrayBase) else None
+def _key(value: Any, by_size: bool) -> Any:
+    """Plain values in what was flattened and, if recordings differ by them, widths of all arrays."""
+    kind = type(value)
+    if kind is tuple:
+        by_size = by_size and not (value and value[0] is AnySize)
+        return tuple([_key(part, by_size) for part in value])
+    if kind is dict:
+        return tuple([_key(part, False) for part in value.values()])
+    if by_size and isinstance(value, dr.ArrayBase):
+        return dr.width(value)
+    return value if kind in _PLAIN else None
 
 
 @cache

@@ -113,7 +113,7 @@ class Boxed:
 def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxed:
     """What is read of splats for tiles of that side, each confined to some tiles."""
     left, top, across, down = _boxes(arrays, splats, bounds, side)
-    return Boxed(_packed(arrays, splats), _packed_boxes(arrays, splats, left, top, across), across * down)
+    return Boxed(packed(arrays, splats), _packed_boxes(arrays, splats, left, top, across), across * down)
 
 
 class Candidates:
@@ -227,7 +227,7 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> tup
     return UInt(x0), UInt(y0), across, down
 
 
-def _packed(arrays: Arrays, splats: Splats) -> Records:
+def packed(arrays: Arrays, splats: Splats) -> Records:
     """What the tiles read of splats."""
     # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
     u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))

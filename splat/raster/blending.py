@@ -26,19 +26,45 @@ import numpy as np
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen
 from splat.raster.binning import LOG2_E, MINIMUM_ALPHA, Bins, Lists
-from splat.raster.blocks import CHANNELS, Blocks, Shown, exp2, records_of_pairs
+from splat.raster.blocks import (
+    CHANNELS,
+    MINIMUM_TRANSMITTANCE,
+    Blocks,
+    Shown,
+    exp2,
+    records_of_pairs,
+)
 from splat.raster.projection import Splats
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import LANES_ACROSS, TileGrid
 
 MAXIMUM_ALPHA = 0.99
+
+
+@dataclass(frozen=True)
+class Compositing:
+    """How splats are composited, and which derivatives are wanted; part of a recording."""
+
+    highest_alpha: float = MAXIMUM_ALPHA  # what alphas are cut to
+    # Whether a pixel ends in front of the splat behind which it would transmit 1e-4 or less (Kerbl et al.).
+    ends_pixels: bool = False
+    by_opacity: bool = False  # whether the derivative of the loss by the opacity is given, too
+    absolute: bool = False  # whether absolute values of the pixels' derivatives by x and y are summed, too
+
+
+STANDARD = Compositing()
 # To find out which blocks show a pair costs 1/40 of blending it. Where tiles have more pairs than this on
 # average, blocks may well stop long before the end, and then it does not pay.
 _LONG_LIST = 256
 
 
 def rasterize(
-    arrays: Arrays, blended: Records, bins: Bins, split: ImageSplit, images: list[Any] | None = None
+    arrays: Arrays,
+    blended: Records,
+    bins: Bins,
+    split: ImageSplit,
+    images: list[Any] | None = None,
+    rules: Compositing = STANDARD,
 ) -> list[Any]:
     """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
@@ -47,14 +73,15 @@ def rasterize(
         split: images of all rows of tiles, which lie one above the other.
         images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the
             top; new ones by default.
+        rules: how splats are composited.
     """
     size = bins.lists.pairs
     if not size:
         return images or split.new(arrays, dr.zeros)
     jumping = jumps(arrays, size, int(np.count_nonzero(bins.wanted)))
     if images is not None:
-        return blend(arrays, blended, bins.lists, split, jumping, images, bins.tiles)
-    return _blend(arrays, blended, bins.lists, split, jumping)
+        return blend(arrays, blended, bins.lists, split, jumping, images, bins.tiles, rules)
+    return _blend(arrays, blended, bins.lists, split, jumping, None, None, rules)
 
 
 def stays_together(arrays: Arrays) -> bool:
@@ -97,6 +124,7 @@ def blend(
     jumping: bool,
     images: list[Any] | None = None,
     tiles: Any = None,
+    rules: Compositing = STANDARD,
 ) -> list[Any]:
     """Draws the lists of all tiles into new images, or those of some tiles into given ones.
 
@@ -119,12 +147,11 @@ def blend(
         radiance = splat.red, splat.green, splat.blue
         transmittance, colour = list(transmittance), list(colour)
         for pixel, (power, _, _) in enumerate(block.log2_alphas(splat)):
-            alpha = dr.minimum(exp2(arrays, power), MAXIMUM_ALPHA)
+            alpha = dr.minimum(exp2(arrays, power), rules.highest_alpha)
             alpha = dr.select(alpha >= MINIMUM_ALPHA, alpha, 0)
-            weight = alpha * transmittance[pixel]
+            weight, transmittance[pixel], _ = _composited(rules, alpha, transmittance[pixel])
             for c in range(3):
                 colour[3 * pixel + c] = dr.fma(weight, radiance[c], colour[3 * pixel + c])
-            transmittance[pixel] = transmittance[pixel] - weight
         return following(i + 1), transmittance, colour
 
     # Built one by one: [Float(0)] * n would be a single accumulator n times.
@@ -136,7 +163,8 @@ def blend(
     _, transmittance, colour = dr.while_loop(
         state, lambda i, transmittance, colour: block.is_active(i, transmittance), step, mode="symbolic"
     )
-    pixels = [[*colour[3 * p : 3 * p + 3], 1 - transmittance[p]] for p in range(block.pixels)]
+    left = [dr.abs(value) for value in transmittance] if rules.ends_pixels else transmittance
+    pixels = [[*colour[3 * p : 3 * p + 3], 1 - left[p]] for p in range(block.pixels)]
     rows, width, within = split.rows, lists.grid.width, [True]
     if len(images) > 1:
         within = [(block.y >= top) & (block.y < bottom) for top, bottom in pairwise(rows)]
@@ -151,15 +179,31 @@ def blend(
 _blend = Frozen(blend, by_size=True)
 
 
-# Sums per pair: the six moments and the three channels of `_block_sums`. In packets, to which the lanes of a
-# vector add one after the other; or each by itself, with atomic additions.
-_SUMS = 9
+def _composited(rules: Compositing, alpha: Any, transmittance: Any) -> tuple[Any, Any, Any]:
+    """Weight of a splat in pixels, their transmittance behind it, and whether it counts.
+
+    `transmittance` is that in front of it. Where a pixel has ended, it is negative: its absolute value stays
+    what it was, and nothing counts any more.
+    """
+    weight = alpha * transmittance
+    behind = transmittance - weight
+    if not rules.ends_pixels:
+        return weight, behind, True
+    counts = behind > MINIMUM_TRANSMITTANCE
+    return dr.select(counts, weight, 0), dr.select(counts, behind, -dr.abs(transmittance)), counts
+
+
+# Sums per pair: the six moments and the three channels of `_block_sums`, and two absolute values if they are
+# wanted. In packets, to which the lanes of a vector add one after the other; or each by itself, with atomic
+# additions.
+_SUMS, _ABSOLUTE = 9, 2
 _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
+_WITH_ABSOLUTE = RecordLayout((8, 4), sums=_SUMS + _ABSOLUTE)
 
 
-def no_sums(arrays: Arrays, splats: int) -> list[Any]:
+def no_sums(arrays: Arrays, splats: int, rules: Compositing = STANDARD) -> list[Any]:
     """What `sums_of_bins` adds to first, of so many splats."""
-    return [dr.zeros(arrays.plain.Float, splats) for _ in range(_SUMS)]
+    return [dr.zeros(arrays.plain.Float, splats) for _ in range(_SUMS + _ABSOLUTE * rules.absolute)]
 
 
 def sums_of_bins(
@@ -169,19 +213,21 @@ def sums_of_bins(
     image: Any,
     gradient: Any,
     sums: list[Any] | None = None,
+    rules: Compositing = STANDARD,
 ) -> list[Any]:
     """What the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
     Args:
         blended, bins, image: as given to and returned by `rasterize`.
         gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
-            opacity is taken to be zero.
+            opacity is taken to be zero unless the rules say that it is given.
         sums: those over tiles further up, and to the left in the same row, to which they are added.
+        rules: those that the image was rendered by.
     """
     if not bins.lists.pairs:
-        return sums or no_sums(arrays, len(blended))
+        return sums or no_sums(arrays, len(blended), rules)
     runs, alone = (bins.first, bins.count, bins.owner), not stays_together(arrays)
-    walked = WalkedLists(blended, bins.lists, bins.tiles, *runs, alone)
+    walked = WalkedLists(blended, bins.lists, bins.tiles, *runs, alone, rules)
     return _sums(arrays, walked, image, gradient, sums)
 
 
@@ -196,12 +242,13 @@ class WalkedLists:
     count: Any
     owner: Any
     alone: bool  # whether lanes go by themselves
+    rules: Compositing
 
 
 def sums_of_lists(
     arrays: Arrays, walked: WalkedLists, image: Any, gradient: Any, sums: list[Any] | None = None
 ) -> list[Any]:
-    """Nine (N,) sums over the lists of some tiles, added to earlier ones if there are any.
+    """Nine (N,) sums, or eleven, over the lists of some tiles, added to earlier ones if there are any.
 
     Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
     and S the light that arrives from behind it, which is the final colour less all that was added up to m:
@@ -213,7 +260,8 @@ def sums_of_lists(
     lists, alone = walked.lists, walked.alone
     UInt = arrays.plain.UInt
     records = records_of_pairs(walked.blended, lists)
-    walk = _Walk(arrays, lists, records, image, gradient, Shown(arrays, lists, records) if alone else None)
+    shown = Shown(arrays, lists, records) if alone else None
+    walk = _Walk(arrays, lists, records, image, gradient, shown, walked.rules)
     slots = [dr.zeros(arrays.plain.Float, p.size * lists.pairs) for p in walk.layout.packets]
     if alone:
         # A vector has four lanes or more and so all those of a tile: two threads never add to a pair.
@@ -230,7 +278,7 @@ def sums_of_lists(
         tile = dr.gather(UInt, walked.tiles, lane // LANES_ACROSS**2)
         slots = walk.added(tile, lane % LANES_ACROSS**2, slots)
     dr.eval(slots)
-    earlier = sums or no_sums(arrays, len(walked.blended))
+    earlier = sums or no_sums(arrays, len(walked.blended), walked.rules)
     return _sum_runs(arrays, walked, Records(arrays, walk.layout, slots), earlier)
 
 
@@ -251,10 +299,13 @@ class _Walk:
     gradient: Any
     # Which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay together.
     shown: Shown | None
+    rules: Compositing
 
     @property
     def layout(self) -> RecordLayout:
         """How the sums of a pair lie in memory."""
+        if self.rules.absolute:
+            return _WITH_ABSOLUTE
         return _ONE_BY_ONE if self.shown is None else _IN_PACKETS
 
     def added(self, tile: Any, number: Any, slots: list[Any]) -> list[Any]:
@@ -262,12 +313,13 @@ class _Walk:
         arrays, lists = self.arrays, self.lists
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
         block, width = Blocks(arrays, lists, tile, number), lists.grid.width
-        flow, final = block.loaded(self.gradient, width), block.loaded(self.image, width)
-        behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
+        channels = CHANNELS if self.rules.by_opacity else CHANNELS - 1
+        flow, final = (block.loaded(image, width, channels) for image in (self.gradient, self.image))
+        behind = [sum(f * v for f, v in zip(flow[p], final[p], strict=True)) for p in range(block.pixels)]
 
         def step(i: Any, transmittance: list[Any], behind: list[Any], slots: list[Any]) -> tuple[Any, ...]:
             transmittance, behind = list(transmittance), list(behind)
-            sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind)
+            sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind, self.rules)
             self._add(sums, dr.gather(UInt, lists.unsorted, i), slots)
             return following(i + 1), transmittance, behind, slots
 
@@ -288,7 +340,8 @@ class _Walk:
         mode = dr.ReduceMode.Local
         if self.shown is not None:
             # Packets are read, added to and written lane by lane, also where lanes have the same pair.
-            mode, sums = dr.ReduceMode.NoConflicts, [*sums, self.arrays.plain.Float(0)]
+            mode = dr.ReduceMode.NoConflicts
+        sums = sums + [self.arrays.plain.Float(0) for _ in range(self.layout.spare)]
         for packet, slot in zip(self.layout.packets, slots, strict=True):
             values = self.arrays.plain.ArrayXf(sums[packet.floats])
             dr.scatter_reduce(dr.ReduceOp.Add, slot, values, pair, mode=mode)
@@ -298,36 +351,41 @@ def _block_sums(
     arrays: Arrays,
     block: Blocks,
     splat: SimpleNamespace,
-    flow: list[Any],
+    flow: list[list[Any]],
     transmittance: list[Any],
     behind: list[Any],
+    rules: Compositing,
 ) -> list[Any]:
     """Sums over a block's pixels for one splat, and the step past that splat.
 
     They are of dL/dpower times 1, u, v, u^2, u v, v^2, where power = ln alpha and u and v are those of
-    `Blocks.log2_alphas`, and of dL/dcolour times the weight of the pixel, three channels.
+    `Blocks.log2_alphas`, of dL/dcolour times the weight of the pixel, three channels, and, if wanted, of
+    |dL/dx| and |dL/dy|, x and y the splat's centre, as far as they come from the pixel.
 
     Args:
-        flow: derivative of the loss by the radiance, three channels per pixel.
+        flow: derivative of the loss by the radiance, three channels per pixel, and by the opacity if the
+            rules have it.
         transmittance: per pixel in front of the splat; on return, behind it.
         behind: per pixel the light from the splat and from behind it, weighted by `flow`; on return, only
             that from behind it.
     """
-    radiance = splat.red, splat.green, splat.blue
+    # What is opaque adds to opacity as what shines to radiance.
+    radiance = [splat.red, splat.green, splat.blue, 1][: len(flow[0])]
+    absolute = [arrays.plain.Float(0) for _ in range(_ABSOLUTE * rules.absolute)]
     moments = [arrays.plain.Float(0) for _ in range(6)]
     colours = [arrays.plain.Float(0) for _ in range(3)]
     for pixel, (power, u, v) in enumerate(block.log2_alphas(splat)):
         unclamped = exp2(arrays, power)
-        alpha = dr.minimum(unclamped, MAXIMUM_ALPHA)
+        alpha = dr.minimum(unclamped, rules.highest_alpha)
         seen = alpha >= MINIMUM_ALPHA
         alpha = dr.select(seen, alpha, 0)
-        weight = alpha * transmittance[pixel]
-        here = flow[3 * pixel : 3 * pixel + 3]
-        own = sum(here[c] * radiance[c] for c in range(3))
+        weight, left, counts = _composited(rules, alpha, transmittance[pixel])
+        here = flow[pixel]
+        own = sum(f * r for f, r in zip(here, radiance, strict=True))
         behind[pixel] = dr.fma(-weight, own, behind[pixel])
         by_alpha = dr.fma(transmittance[pixel], own, -behind[pixel] * dr.rcp(1 - alpha))
-        by_power = dr.select(seen & (unclamped < MAXIMUM_ALPHA), by_alpha * alpha, 0)
-        transmittance[pixel] = transmittance[pixel] - weight
+        by_power = dr.select(seen & counts & (unclamped < rules.highest_alpha), by_alpha * alpha, 0)
+        transmittance[pixel] = left
         along_u, along_v = by_power * u, by_power * v
         for k, term in enumerate((by_power, along_u, along_v)):
             moments[k] = moments[k] + term
@@ -335,7 +393,11 @@ def _block_sums(
             moments[k] = dr.fma(along, by, moments[k])
         for c in range(3):
             colours[c] = dr.fma(weight, here[c], colours[c])
-    return moments + colours
+        if rules.absolute:
+            along_y = dr.fma(splat.u_y, along_u, splat.v_y * along_v)
+            for k, along in enumerate((splat.u_x * along_u, along_y)):
+                absolute[k] = dr.fma(dr.abs(along), 2 / LOG2_E, absolute[k])
+    return moments + colours + absolute
 
 
 def _sum_runs(arrays: Arrays, walked: WalkedLists, slots: Records, sums: list[Any]) -> list[Any]:

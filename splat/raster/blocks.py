@@ -90,12 +90,12 @@ class Blocks:
             for pixel in range(0, self.pixels, 2)
         ]
 
-    def loaded(self, image: Any, width: Any) -> list[Any]:
-        """Red, green, blue of each pixel of the block, from a flat image of that width in pixels."""
-        values: list[Any] = []
+    def loaded(self, image: Any, width: Any, channels: int) -> list[list[Any]]:
+        """For each pixel of the block the first channels of a flat image of that width in pixels."""
+        values: list[list[Any]] = []
         for target, _ in self.chunks(width):
             two = self._arrays.packet(image, _CHUNK, target)
-            values += [two[k] for k in (0, 1, 2, CHANNELS, CHANNELS + 1, CHANNELS + 2)]
+            values += [[two[first + c] for c in range(channels)] for first in (0, CHANNELS)]
         return values
 
 

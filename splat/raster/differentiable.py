@@ -5,6 +5,7 @@ And which Gaussians a view may show, and what each contributes to its pixels (Fo
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -116,15 +117,10 @@ def render(
             low-pass is negative or not finite.
         UserError: they are on the CPU, and there is no LLVM that Dr.Jit can use.
     """
-    devices = {tensor.device for tensor in gaussians.every_tensor()}
-    if len(devices) > 1:
-        raise ValueError(f"Gaussians on {', '.join(sorted(map(str, devices)))}: must be on one device")
-    kind = devices.pop().type
-    if kind not in ("cpu", "cuda"):
-        raise ValueError(f"Gaussians on {kind}: must be on cpu or cuda")
+    arrays = arrays_of("Gaussians", gaussians.every_tensor())
     if place != WORLD:
         gaussians, camera = from_world(gaussians, place), place.camera(camera)
-    return render_differentiable(_arrays("llvm" if kind == "cpu" else "cuda"), gaussians, camera, low_pass)
+    return render_differentiable(arrays, gaussians, camera, low_pass)
 
 
 def render_differentiable(
@@ -167,6 +163,22 @@ def _is_aligned(rows: torch.Tensor) -> bool:
     return rows.stride(1) == 1 and not any(start % (4 * ALIGNED_FLOATS) for start in starts)
 
 
+def arrays_of(what: str, tensors: Iterable[torch.Tensor]) -> Arrays:
+    """Array types for the device that all tensors are on.
+
+    Raises:
+        ValueError: they are on several devices, or on one that is neither CPU nor CUDA.
+        UserError: they are on the CPU, and there is no LLVM that Dr.Jit can use.
+    """
+    devices = {tensor.device for tensor in tensors}
+    if len(devices) > 1:
+        raise ValueError(f"{what} on {', '.join(sorted(map(str, devices)))}: must be on one device")
+    kind = devices.pop().type
+    if kind not in ("cpu", "cuda"):
+        raise ValueError(f"{what} on {kind}: must be on cpu or cuda")
+    return _arrays("llvm" if kind == "cpu" else "cuda")
+
+
 @lru_cache
 def _arrays(backend: BackendName) -> Arrays:
     # Without LLVM, Dr.Jit would end the process.
@@ -184,7 +196,7 @@ class _Render(torch.autograd.Function):
     ) -> torch.Tensor:
         # Of tensors that may have other shapes than when they were made Gaussians.
         rows = aligned_rows(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
-        _wait_for_torch(tensors[0].device)
+        wait_for_torch(tensors[0].device)
         grid = TileGrid(camera.width, camera.height)
         view = camera_numbers(arrays, camera), constant(arrays.plain.Float, low_pass)
         count = dr.width(rows[0])
@@ -214,7 +226,7 @@ class _Render(torch.autograd.Function):
         grid = parts.grid
         beyond = (0, CHANNELS - 3, 0, grid.padded_width - grid.width, 0, grid.padded_height - grid.height)
         flow = dr.detach(arrays.from_torch(functional.pad(gradient, beyond)), preserve_type=False)
-        _wait_for_torch(gradient.device)
+        wait_for_torch(gradient.device)
         sums = sums_of_parts(arrays, parts, image, flow)
         block = _by_parameters(arrays, padded, *view, splats, sums, arrays.constant(padded.size))
         found = arrays.to_torch(block, gradient.device).reshape(-1, padded.size)[:, : shapes[0][-1]]
@@ -231,7 +243,7 @@ def parameters_of(rows: list[Any]) -> Parameters:
 
 @dataclass(frozen=True)
 class PaddedRows:
-    """Rows of N Gaussians, to be followed by invisible ones: trainings render other numbers in each view.
+    """Rows of N Gaussians or splats, to be followed by zeros: trainings render other numbers in each view.
 
     Attributes:
         rows: (N,) each, in the order of the parameter tensors' memory.
@@ -247,16 +259,22 @@ class PaddedRows:
         """The rows, `size` wide."""
         lane = dr.arange(arrays.plain.UInt, self.size)
         known = lane < self.count
-        found = [dr.gather(type(row), row, lane, known) for row in self.rows.arrays]
-        found[_LOGITS] = dr.select(known, found[_LOGITS], _INVISIBLE)
-        return found
+        return [dr.gather(type(row), row, lane, known) for row in self.rows.arrays]
+
+
+def _rows_of_gaussians(arrays: Arrays, padded: PaddedRows) -> list[Any]:
+    """The rows of Gaussians, followed by invisible ones."""
+    rows = padded.on(arrays)
+    known = dr.arange(arrays.plain.UInt, padded.size) < padded.count
+    rows[_LOGITS] = dr.select(known, rows[_LOGITS], _INVISIBLE)
+    return rows
 
 
 def projected_splats(
     arrays: Arrays, padded: PaddedRows, view: CameraNumbers, low_pass: Any, bounds: TileBounds, side: int
 ) -> tuple[Splats, Boxed]:
     """Splats of padded Gaussians, and those as boxed for tiles of that side."""
-    splats = project(parameters_of(padded.on(arrays)), view, low_pass)
+    splats = project(parameters_of(_rows_of_gaussians(arrays, padded)), view, low_pass)
     return splats, boxed(arrays, splats, bounds, side)
 
 
@@ -273,7 +291,7 @@ def gradients_of_rows(
 
     `sums` are those of `sums_of_parts`, and `step` is the size in memory; all else is as it was projected.
     """
-    size, leaves = padded.size, [arrays.ad.Float(row) for row in padded.on(arrays)]
+    size, leaves = padded.size, [arrays.ad.Float(row) for row in _rows_of_gaussians(arrays, padded)]
     dr.enable_grad(leaves)
     # The rasterizer has gradients for all but the depths, which come last.
     *outputs, _ = vars(project(parameters_of(leaves), view, low_pass)).values()
@@ -293,7 +311,7 @@ _projected = Frozen(projected_splats, by_size=True)
 _by_parameters = Frozen(gradients_of_rows, by_size=True)
 
 
-def _wait_for_torch(device: torch.device) -> None:
+def wait_for_torch(device: torch.device) -> None:
     """Puts what Dr.Jit does next on a GPU behind what torch does on its current stream; the host goes on.
 
     Dr.Jit's stream follows the default one by itself, and torch's follows Dr.Jit's when it takes an array.

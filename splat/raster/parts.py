@@ -10,13 +10,15 @@ sums over a splat's tiles go through them row by row in either case.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from typing import Any
 
 import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import Bins, Candidates, TileWindow
-from splat.raster.blending import ImageSplit, rasterize, sums_of_bins
+from splat.raster.blending import STANDARD, Compositing, ImageSplit, rasterize, sums_of_bins
+from splat.raster.records import Records
 
 # Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
 # this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
@@ -31,11 +33,18 @@ class Parts:
     list is no longer than the splats are many.
     """
 
-    def __init__(self, candidates: Candidates):
+    def __init__(self, candidates: Candidates, rules: Compositing = STANDARD):
         self.grid, self.blended, self._candidates = candidates.grid, candidates.found.blended, candidates
+        self.rules = rules
         runs = self._candidates.runs(self._candidates.whole)
         # The single part, if it is one.
         self.only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
+
+    def coloured(self, blended: Records, rules: Compositing) -> Parts:
+        """The same lists, of splats in other colours."""
+        other = copy(self)
+        other.blended, other.rules = blended, rules
+        return other
 
     def __iter__(self) -> Iterator[Bins]:
         if self.only is not None:
@@ -67,15 +76,15 @@ def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None 
     split = ImageSplit.of(arrays, parts.grid, heights or [parts.grid.rows])
     images = None if parts.only is not None else split.new(arrays, dr.zeros)
     for bins in parts:
-        images = rasterize(arrays, parts.blended, bins, split, images)
+        images = rasterize(arrays, parts.blended, bins, split, images, parts.rules)
     assert images is not None
     return images
 
 
 def sums_of_parts(arrays: Arrays, parts: Parts, image: Any, gradient: Any) -> list[Any]:
-    """Nine (N,) sums that gradients by the splats are made of, from the gradient by an image."""
+    """The (N,) sums that gradients by the splats are made of, from the gradient by an image."""
     sums = None
     for bins in parts:
-        sums = sums_of_bins(arrays, parts.blended, bins, image, gradient, sums)
+        sums = sums_of_bins(arrays, parts.blended, bins, image, gradient, sums, parts.rules)
     assert sums is not None
     return sums

@@ -18,7 +18,9 @@ def test_importing_loads_neither_torch_nor_drjit():
 
 
 def test_every_public_name_is_there():
-    names = "Camera Forest Gaussians Place load_forest load_ply look_at render save_forest save_ply"
+    names = (
+        "Camera Forest Gaussians Place load_forest load_ply look_at rasterization render save_forest save_ply"
+    )
     assert splat.__all__ == names.split()
     for name in splat.__all__:
         assert getattr(splat, name).__name__ == name
@@ -30,9 +32,10 @@ def test_other_names_are_refused():
         splat.rasterise  # noqa: B018
 
 
-def test_renders_example_runs():
-    """The snippet in its docstring, line by line."""
-    (example,) = doctest.DocTestFinder(recurse=False).find(splat.render, "render", globs={})
+@pytest.mark.parametrize("name", ["rasterization", "render"])
+def test_examples_run(name):
+    """The snippets in docstrings, line by line."""
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(splat, name), name, globs={})
     assert len(example.examples) > 5
     assert doctest.DocTestRunner().run(example).failed == 0
 

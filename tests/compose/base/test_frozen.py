@@ -42,6 +42,19 @@ def test_arguments_of_other_widths_are_recorded_anew(arrays):
     assert calls == [5, 5, 8]
 
 
+def test_plain_values_that_repeat_earlier_ones_tell_recordings_apart(arrays):
+    """Dr.Jit alone takes the third value for the same in all of these, as it occurred before."""
+
+    def scaled(values: Any, one: Any, other: Any, chosen: Any) -> Any:
+        return values * (2 if chosen == one else 3)
+
+    function = Frozen(scaled)
+    for one, other in ((True, False), (5, 6), ("a", "b"), (0.5, 0.25)):
+        for chosen, factor in ((one, 2), (other, 3), (one, 2)):
+            found = function(uploaded(arrays.plain.Float, np.ones(3, dtype=np.float32)), one, other, chosen)
+            np.testing.assert_array_equal(found.numpy(), factor)
+
+
 @pytest.mark.parametrize("count", [0, 1, 1024, 1025, 5000, 123_457, (1 << 24) + 1])
 def test_capacities_are_hardly_larger_than_what_they_are_for(count):
     found = capacity(count)

@@ -47,14 +47,15 @@ def test_chunks_address_each_pixel_once(arrays, side):
     block, bins, _ = blocks_of(arrays, side)
     width, height = bins.grid.padded_width, bins.grid.padded_height
     image = np.arange(width * height * CHANNELS, dtype=np.float32)
-    loaded = [value.numpy() for value in block.loaded(arrays.plain.Float(image), width)]
+    loaded = block.loaded(arrays.plain.Float(image), width, 3)
     shaped = image.reshape(height, width, CHANNELS)
     x, y = block.x.numpy(), block.y.numpy()
     for pixel in range(block.pixels):
         row, column = divmod(pixel, block.side)
         for channel in range(3):
-            np.testing.assert_array_equal(loaded[3 * pixel + channel], shaped[y + row, x + column, channel])
-    assert len(loaded) == 3 * block.pixels
+            found = loaded[pixel][channel].numpy()
+            np.testing.assert_array_equal(found, shaped[y + row, x + column, channel])
+    assert [len(channels) for channels in loaded] == [3] * block.pixels
     assert [first for _, first in block.chunks(width)] == list(range(0, block.pixels, 2))
 
 
