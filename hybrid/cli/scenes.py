@@ -57,9 +57,9 @@ def _compare(scene: Scene, source: str, sensor: str | None) -> dict[str, Any] | 
         return None
     radiance = f"mean radiance {found.theirs:.4g} there, {found.ours:.4g} here"
     if found.holds:
-        print(f"as Mitsuba renders it: {radiance}; no part of {found.parts} differs by more than noise")
+        print(f"as {found.by} renders it: {radiance}; no part of {found.parts} differs by more than noise")
     else:
-        print(f"not as Mitsuba renders it: {radiance}; {found.differing} of {found.parts} parts differ")
+        print(f"not as {found.by} renders it: {radiance}; {found.differing} of {found.parts} parts differ")
         for cause in found.causes or ("the cause is not known",):
             print(f"  {cause}")
     return asdict(found)

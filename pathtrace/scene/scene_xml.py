@@ -218,7 +218,7 @@ def _add_held(digest: hashlib._Hash, value: Any) -> None:
 
 @dataclass(frozen=True)
 class SceneDescription:
-    """A scene's XML without its integrator, the hash of all files, and what the integrator asks for.
+    """A scene's XML, as a rule without its integrator, the hash of all files, and what that asks for.
 
     That is the path depth, -1 if there is no bound, and whether lights are hidden from the camera.
     """
@@ -229,10 +229,10 @@ class SceneDescription:
     hides_emitters: bool
 
 
-def read_description(path: Path, text: str | None = None) -> SceneDescription:
-    """Reads a scene's XML file, or a text that is to lie there, and removes its integrator.
+def read_description(path: Path, text: str | None = None, with_integrator: bool = False) -> SceneDescription:
+    """Reads a scene's XML file, or a text that is to lie there, without its integrator by default.
 
-    Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
+    Paths here have integrators of their own; scenes found elsewhere may name integrators that only their
     author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
     memory, or would load native code that is not Mitsuba's.
     """
@@ -241,8 +241,9 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
     depth = _max_depth(root)
     flags = root.findall("integrator//boolean[@name='hide_emitters']")
     hides = any((flag.get("value") or "").strip().lower() == "true" for flag in flags)
-    for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
-        root.remove(element)
+    if not with_integrator:
+        for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
+            root.remove(element)
     references = References(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(content, root, references)

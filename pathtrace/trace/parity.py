@@ -17,6 +17,7 @@ from compose.base.errors import UserError, one_line
 from compose.image.colour import Image
 from pathtrace.scene.loading import Source, camera_of_sensor, load_mitsuba, perspective_sensor
 from pathtrace.scene.scene import Scene, scene_file
+from pathtrace.scene.scene_xml import read_description
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
@@ -41,6 +42,7 @@ class Parity:
         parts: number of parts that were compared: blocks, and the whole picture.
         differing: number of those that differ by more than noise.
         causes: what may make them differ, a line each.
+        by: what rendered their picture.
     """
 
     theirs: float
@@ -48,6 +50,7 @@ class Parity:
     parts: int
     differing: int
     causes: tuple[str, ...] = ()
+    by: str = "Mitsuba"
 
     @property
     def holds(self) -> bool:
@@ -58,23 +61,32 @@ class Parity:
 def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None = None) -> Parity:
     """Compares small pictures of a scene, as it was loaded from a source, with those of `mitsuba.render`.
 
+    Where Mitsuba does not have the integrator that the scene names, its `path` or `volpath` stands for that.
+
     Raises:
-        UserError: Mitsuba cannot load or render the scene with the integrator that it names.
+        UserError: Mitsuba cannot render the scene.
     """
-    own = _as_given(source)
+    causes, integrator, by = list(scene.left_out), None, "Mitsuba"
+    try:
+        own = _as_given(source, True)
+        causes += _causes(own.integrator(), scene)
+    except UserError:
+        own = _as_given(source, False)
+        kind = "volpath" if scene.optics.has_media else "path"
+        integrator = mi.load_dict({"type": kind, "hide_emitters": scene.optics.hides_emitters})
+        by = f"Mitsuba's {kind}, which does not have its integrator,"
     seen_by = perspective_sensor(own, scene.name, sensor)
     _shrink(seen_by)
     tracer, small = Tracer(scene), scene.place.camera(camera_of_sensor(seen_by, scene.name))
     try:
-        theirs = [_rendered(own, seen_by, number) for number in range(_PICTURES)]
+        theirs = [_rendered(own, seen_by, integrator, number) for number in range(_PICTURES)]
     except RuntimeError as error:
         raise UserError(f"{scene.name}: Mitsuba does not render it: {one_line(error)}") from error
     ours = [
         radiance_image(tracer, small, frame_positions(small), small.width, _SPP, number)
         for number in range(_PICTURES)
     ]
-    causes = (*scene.left_out, *_causes(own.integrator(), scene))
-    return replace(compared(np.stack(theirs), np.stack(ours)), causes=causes)
+    return replace(compared(np.stack(theirs), np.stack(ours)), causes=tuple(causes), by=by)
 
 
 def _causes(integrator: Any, scene: Scene) -> Iterator[str]:
@@ -117,18 +129,18 @@ def _shrink(sensor: Any) -> None:
     film.update()
 
 
-def _as_given(source: str | Path | dict[str, Any]) -> Any:
-    """The Mitsuba scene of a source, with its own integrator."""
+def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> Any:
+    """The Mitsuba scene of a source, with its own integrator or with none; that of dictionaries stays."""
     if isinstance(source, dict):
         return load_mitsuba(Source("dictionary", source))
-    if str(source).lstrip().startswith("<"):
-        return load_mitsuba(Source("text", str(source)))
-    file = scene_file(source)
-    return load_mitsuba(Source(str(source), file.read_text(), file.parent))
+    is_text = str(source).lstrip().startswith("<")
+    file = Path("text.xml").absolute() if is_text else scene_file(source)
+    description = read_description(file, str(source) if is_text else None, with_integrator)
+    return load_mitsuba(Source(file.name, description.text, file.parent))
 
 
-def _rendered(scene: Any, sensor: Any, seed: int) -> Image:
-    image = np.array(mi.render(scene, sensor=sensor, spp=_SPP, seed=seed))
+def _rendered(scene: Any, sensor: Any, integrator: Any, seed: int) -> Image:
+    image = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=_SPP, seed=seed))
     colours: Image = image[..., :3] if image.shape[-1] >= 3 else np.repeat(image[..., :1], 3, axis=-1)
     return colours
 

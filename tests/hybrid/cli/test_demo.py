@@ -37,7 +37,16 @@ def test_every_option_reaches_the_window(given, monkeypatch, tmp_path, capsys):
     options = ["--forest", tmp_path / "f", "--size", 100, 80, "--fov-a", 30, "--fov-b", 10, "--spp", 2]
     options += ["--acuity-model", "fov-gs", "--target", 15, "--gaze-trace", tmp_path / "gaze.csv"]
     options += ["--latency", 50, "--out", tmp_path, "--bench", 9, "--load", 4, "--display", "hmd"]
-    options += ["--play", "--thin-glass", "--sensor", "door", "--backend", "llvm", "--json", tmp_path / "d.json"]
+    options += [
+        "--play",
+        "--thin-glass",
+        "--sensor",
+        "door",
+        "--backend",
+        "llvm",
+        "--json",
+        tmp_path / "d.json",
+    ]
     assert run(monkeypatch, "demo", "room", *options) == 0
     settings = FrameSettings(fov_a=30, fov_b=10, spp=2, acuity_model="fov-gs", display="hmd")
     window = module.WindowOptions((100, 80), 0.05, tmp_path, 15.0, 9.0, 4.0, True)

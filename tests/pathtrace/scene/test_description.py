@@ -71,3 +71,14 @@ def test_text_that_is_not_xml_is_refused(tmp_path):
     file.write_text("<scene version='3.0.0'><shape")
     with pytest.raises(UserError, match=r"broken\.xml: not well-formed XML"):
         read_description(file)
+
+
+def test_an_integrator_that_is_kept_must_be_mitsubas_own(tmp_path):
+    file = tmp_path / "scene.xml"
+    file.write_text('<scene version="3.0.0"><integrator type="own"/></scene>')
+    assert "own" in read_description(file, with_integrator=True).text
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins/own.so").touch()
+    assert "own" not in read_description(file).text
+    with pytest.raises(UserError, match="may not bring its own code"):
+        read_description(file, with_integrator=True)

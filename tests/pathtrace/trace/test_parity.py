@@ -10,7 +10,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from compose.base.errors import UserError
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace import parity as module
 from pathtrace.trace.parity import compared, parity
@@ -172,10 +171,12 @@ def test_what_is_traced_otherwise_is_found_and_named():
     assert "DirectIntegrator" in parity(load_scene(other), other).causes[0]
 
 
-def test_a_scene_of_an_integrator_that_mitsuba_does_not_have_cannot_be_compared():
-    text = "<scene version='3.0.0'><integrator type='own'/></scene>"
-    with pytest.raises(UserError, match="own"):
-        parity(load_scene(scene()), text)
+def test_mitsubas_path_stands_for_integrators_that_it_does_not_have():
+    text = """<scene version='3.0.0'><integrator type='own'/><sensor type='perspective'/>
+    <shape type='sphere'><point name='center' x='0' y='0' z='3'/></shape><emitter type='constant'/></scene>"""
+    found = parity(load_scene(text), text)
+    assert found.holds, found
+    assert found.by == "Mitsuba's path, which does not have its integrator,"
 
 
 def test_noise_alone_is_no_difference_and_more_light_is_one():
