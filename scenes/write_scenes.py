@@ -1076,7 +1076,7 @@ HEAD = """<scene version="3.0.0">
 \t\t<string name="fov_axis" value="y" />
 \t\t<float name="fov" value="{fov}" />
 \t\t<float name="near_clip" value="0.02" />
-\t\t<float name="far_clip" value="100" />
+\t\t<float name="far_clip" value="10000" />
 \t\t<transform name="to_world">
 \t\t\t<lookat origin="{origin}" target="{target}" up="{up}" />
 \t\t</transform>

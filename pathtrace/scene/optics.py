@@ -52,20 +52,25 @@ class Optics:
 
 
 def clipping_planes(scene: Any, sensor: Any, camera: Camera) -> tuple[float, float] | None:
-    """Depths of a sensor's clipping planes, if its file has any that cut something off what its camera sees.
+    """Depths of a sensor's clipping planes, if its file has any that cut something off the scene.
 
+    The near one does if the sensor's own camera sees something in front of it.
     Mitsuba's own planes, which sensors have by default, count as none: scenes of any size are seen whole.
     """
     near, far = float(sensor.near_clip()), float(sensor.far_clip())
     if near == np.float32(_NEAR_CLIP) and far == np.float32(_FAR_CLIP):
         return None
-    small, forward = camera.resized(_PROBE, _PROBE), camera.camera_to_world[:3, 2]
+    box, forward = scene.bbox(), camera.camera_to_world[:3, 2]
+    corners = np.array(np.meshgrid(*zip(box.min, box.max, strict=True))).reshape(3, -1).T
+    if far < np.max((corners - camera.position) @ forward):
+        return near, far
+    small = camera.resized(_PROBE, _PROBE)
     ways = small.rays(small.pixel_centres())
     # Of length 1 in depth.
     ways = (ways / (ways @ forward)[:, None]).T.astype(np.float32)
     rays = mi.Ray3f(mi.Point3f(camera.position), mi.Vector3f(ways))
     depth = scene.ray_intersect_preliminary(rays).t.numpy()
-    return (near, far) if ((depth < near) | ((depth > far) & np.isfinite(depth))).any() else None
+    return (near, far) if (depth < near).any() else None
 
 
 def has_medium(shape: Any) -> bool:

@@ -67,6 +67,8 @@ def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None
         UserError: Mitsuba cannot render the scene.
     """
     causes, integrator, by = list(scene.left_out), None, "Mitsuba"
+    if scene.moving is not None:
+        causes.append("what moves is as its motion file has it at the beginning, not as in the scene's file")
     try:
         own = _as_given(source, True)
         causes += _causes(own.integrator(), scene)
