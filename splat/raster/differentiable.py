@@ -314,7 +314,8 @@ def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tenso
         return torch.zeros(0, dtype=torch.int64, device=means.device)
     rows = aligned_rows(arrays, [means, log_scales])
     longest = dr.exp(dr.maximum(dr.maximum(rows[3], rows[4]), rows[5]))
-    index = arrays.plain.Int(dr.compress(may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER)))
+    shown = may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER, gaussians.blending)
+    index = arrays.plain.Int(dr.compress(shown))
     return arrays.to_torch(index, means.device).long()
 
 
