@@ -1,8 +1,8 @@
 """Fits Gaussians that are blended linearly to look alike where display-encoded values are blended.
 
 Other programs blend as 3D Gaussian splatting does. The same numbers look darker there at soft edges, and
-wider by its larger filter: in `room` 31 dB from the forest's own picture. Once fitted it is 38, and at twice the
-resolution of the training 36. The truth is that picture, so that any view tells something.
+wider by its larger filter: in `room` 31 dB from the forest's own picture. Once fitted it is 38 dB, and at
+twice the resolution of the training 36. The truth is that picture, so that any view tells something.
 """
 
 from __future__ import annotations

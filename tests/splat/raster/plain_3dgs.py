@@ -17,8 +17,11 @@ from tests.splat.raster.reference import harmonics, rotation_matrix
 _PIXELS = 512
 
 
-def picture(g: Gaussians, camera: Camera) -> torch.Tensor:
-    """(H, W, 3) float64 display-encoded picture, not clipped at 1; torch can differentiate it."""
+def picture(g: Gaussians, camera: Camera, every: int = 1) -> torch.Tensor:
+    """(H, W, 3) float64 display-encoded picture, not clipped at 1; torch can differentiate it.
+
+    Of every so many rows and columns.
+    """
     means, log_scales, rotations, logits, sh = (tensor.double() for _, tensor in g.all_turning().tensors())
     world = torch.from_numpy(camera.world_to_camera)
     local = world[:3, :3] @ means + world[:3, 3:]
@@ -26,9 +29,7 @@ def picture(g: Gaussians, camera: Camera) -> torch.Tensor:
     ahead = ahead[torch.argsort(local[2, ahead].detach(), stable=True)]
     x, y, z = local[:, ahead]
     half = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
-    across, down = (
-        (t / z).clamp(-1.3 * limit, 1.3 * limit) for t, limit in zip((x, y), half, strict=True)
-    )
+    across, down = ((t / z).clamp(-1.3 * limit, 1.3 * limit) for t, limit in zip((x, y), half, strict=True))
     none = torch.zeros_like(z)
     jacobian = torch.stack(
         [
@@ -44,13 +45,19 @@ def picture(g: Gaussians, camera: Camera) -> torch.Tensor:
     colour = (0.5 + torch.einsum("kcn,kn->nc", sh[..., ahead], basis)).clamp(min=0)
     centre = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
     splats = centre, torch.linalg.inv(covariance), torch.sigmoid(logits[ahead]), colour
-    pixels = torch.from_numpy(camera.pixel_centres()).reshape(-1, 2)
-    rows = [_blended(*splats, some) for some in pixels.split(_PIXELS)]
-    return torch.cat(rows).reshape(camera.height, camera.width, 3)
+    pixels = torch.from_numpy(camera.pixel_centres()).reshape(camera.height, camera.width, 2)[
+        ::every, ::every
+    ]
+    rows = [_blended(*splats, some) for some in pixels.reshape(-1, 2).split(_PIXELS)]
+    return torch.cat(rows).reshape(*pixels.shape[:2], 3)
 
 
 def _blended(
-    centre: torch.Tensor, precision: torch.Tensor, opacity: torch.Tensor, colour: torch.Tensor, at: torch.Tensor
+    centre: torch.Tensor,
+    precision: torch.Tensor,
+    opacity: torch.Tensor,
+    colour: torch.Tensor,
+    at: torch.Tensor,
 ) -> torch.Tensor:
     """(P, 3) colours of pixels at (P, 2) from N splats, from near to far."""
     x, y = (at[:, None] - centre).unbind(dim=-1)
