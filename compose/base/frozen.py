@@ -18,6 +18,10 @@ _KEPT, _MANY = 64, 1 << 30
 _PER_OCTAVE, _LEAST = 4, 1024
 
 
+# Types of values of which not the object counts.
+_NUMBERS = {bool, int, float, str, type(None)}
+
+
 def capacity(count: int) -> int:
     """A size of an array for so many elements, at most a fifth too large: recordings differ by size.
 
@@ -52,12 +56,14 @@ class Passed:
 
 
 class Frozen:
-    """`dr.freeze` without two ways in which it stops or aborts the process (Dr.Jit 1.5).
+    """`dr.freeze` without two ways in which it stops or aborts the process, and one in which it errs (1.5).
 
     Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
     in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
     one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
-    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile.
+    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile. And where a value
+    occurs again among the arguments, Dr.Jit takes any that occurred before for it: (3, 4, 3) for (3, 4, 4).
+    So all values are an argument once more, as one text.
 
     What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
     it writes to must be made inside it: others are copied.
@@ -82,9 +88,9 @@ class Frozen:
     def replayed(self, arguments: tuple[Any, ...]) -> Any:
         """The flattened result; the collector is paused."""
         flat = flattened(arguments)
-        return self._recorded(flat, _widths(flat) if self._by_size else None)
+        return self._recorded(_values(flat), flat, _widths(flat) if self._by_size else None)
 
-    def _plain(self, arguments: Any, widths: Any) -> Any:
+    def _plain(self, values: str, arguments: Any, widths: Any) -> Any:
         """The function from flattened arguments to a flattened result; frozen."""
         return flattened(self._function(*rebuilt(arguments)))
 
@@ -113,6 +119,18 @@ def rebuilt(value: Any) -> Any:
         return parts[0].value
     names, whole = _names(kind), map(rebuilt, parts)
     return kind(whole) if names is None else kind(**dict(zip(names, whole, strict=True)))
+
+
+def _values(value: Any) -> str:
+    """What was flattened as text, without arrays; equal for the same objects and equal numbers only."""
+    kind = type(value)
+    if kind is tuple:
+        return f"({','.join(map(_values, value))})"
+    if kind is dict:
+        return _values(tuple(value.items()))
+    if isinstance(value, dr.ArrayBase):
+        return ""
+    return repr(value) if kind in _NUMBERS else f"{id(value)}"
 
 
 def _widths(value: Any) -> Any:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import accumulate
+from typing import Any
 
 import torch
 
@@ -154,17 +155,19 @@ class Gaussians:
         further = self.directional
         if further is not None:
             further = Directional(further.index.to(device), further.sh.to(device))
-        return replace(self, **{name: t.to(device) for name, t in self.tensors()}, directional=further)
+        own: Any = {name: tensor.to(device) for name, tensor in self.tensors()}
+        return replace(self, **own, directional=further)
 
     def select(self, keep: torch.Tensor) -> Gaussians:
         """The Gaussians at an index or a mask (N,), copied."""
-        own = {name: tensor[..., keep].contiguous() for name, tensor in self.tensors()}
+        own: Any = {name: tensor[..., keep].contiguous() for name, tensor in self.tensors()}
         further = None if self.directional is None else self.directional.select(keep, len(self))
         return replace(self, **own, directional=further)
 
     def part(self, start: int, end: int) -> Gaussians:
         """The Gaussians from start up to end; shares memory."""
-        own, further = {name: t[..., start:end] for name, t in self.tensors()}, self.directional
+        own: Any = {name: tensor[..., start:end] for name, tensor in self.tensors()}
+        further = self.directional
         if further is not None:
             first, last = torch.searchsorted(further.index, torch.tensor([start, end])).tolist()
             further = Directional(further.index[first:last] - start, further.sh[..., first:last])
@@ -212,7 +215,7 @@ def concatenated(parts: list[Gaussians]) -> Gaussians:
         own = [(start, part.directional) for start, part in zip(starts, parts, strict=False)]
         index = torch.cat([d.index + start for start, d in own if d is not None])
         further = Directional(index, torch.cat([d.sh for _, d in own if d is not None], dim=-1))
-    tensors = {name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS}
+    tensors: Any = {name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS}
     return replace(parts[0], **tensors, directional=further)
 
 

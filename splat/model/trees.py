@@ -46,7 +46,7 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     logits, part = log_opacity - np.log1p(-np.exp(log_opacity)), to_torch(share)
     sh = part * a.all_turning().sh + (1 - part) * b.all_turning().sh
     shape = map(to_torch, (mean.T, log_scales.T, quaternion.T, logits))
-    merged = Gaussians(*shape, sh, blending=a.blending)
+    merged = Gaussians(*[*shape, sh], blending=a.blending)
     if a.directional is None and b.directional is None:
         return merged
     return merged.turning(a.turns | b.turns)

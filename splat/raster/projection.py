@@ -126,7 +126,7 @@ class CameraNumbers:
         wide = ([double(value) for value in values] for values in (self.rotation, self.eye))
         rest = self.focal, self.centre, self.limits, self.half
         narrow = ([number(value) for value in values] for values in rest)
-        return CameraNumbers(*wide, *narrow, self.encoded)
+        return CameraNumbers(*wide, *narrow, encoded=self.encoded)
 
 
 def project(parameters: Parameters, camera: CameraNumbers, low_pass: Any) -> Splats:

@@ -42,6 +42,16 @@ def test_arguments_of_other_widths_are_recorded_anew(arrays):
     assert calls == [5, 5, 8]
 
 
+@pytest.mark.parametrize("kind", [int, bool, str, float])
+def test_values_that_occur_again_are_told_apart(arrays, kind):
+    """Dr.Jit alone replays (1, 0, 1) for (1, 0, 0), and the other way round."""
+    zero, one = kind(0), kind(1)
+    function = Frozen(lambda numbers, *values: numbers + values.count(one))
+    number = arrays.plain.Float(0.0, 1.0)
+    for values in ((one, zero, one), (one, zero, zero), (zero, one, zero), (zero, one, one)):
+        assert function(number, *values).numpy().tolist() == [values.count(one), values.count(one) + 1]
+
+
 @pytest.mark.parametrize("count", [0, 1, 1024, 1025, 5000, 123_457, (1 << 24) + 1])
 def test_capacities_are_hardly_larger_than_what_they_are_for(count):
     found = capacity(count)
