@@ -123,10 +123,11 @@ class CameraNumbers:
     def like(self, number: Any) -> CameraNumbers:
         """The numbers in types that go with a kind of Float."""
         double = dr.float64_array_t(number)
-        wide = ([double(value) for value in values] for values in (self.rotation, self.eye))
+        wide = [[double(value) for value in values] for values in (self.rotation, self.eye)]
         rest = self.focal, self.centre, self.limits, self.half
-        narrow = ([number(value) for value in values] for values in rest)
-        return CameraNumbers(*wide, *narrow, encoded=self.encoded)
+        narrow = [[number(value) for value in values] for values in rest]
+        parts: list[Any] = [*wide, *narrow, self.encoded]
+        return CameraNumbers(*parts)
 
 
 def project(parameters: Parameters, camera: CameraNumbers, low_pass: Any) -> Splats:
