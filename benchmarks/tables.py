@@ -279,7 +279,10 @@ def stored() -> str:
     header = ["file", "MB", "bytes per Gaussian", "degree", "position, deviations", "scale, share"]
     header += ["rotation, degrees", "opacity, 256ths", "colour, 256ths", "picture, dB"]
     what = f"{found['gaussians']:,} Gaussians of degree {found['degree']}. "
-    what += f"The same Gaussians, blended on the sRGB curve: {found['srgb_blended_psnr']:.1f} dB."
+    what += (
+        f"As other viewers show them, against the forest's own pictures: {found['fitted_psnr']:.1f} dB; "
+        f"{found['as_trained_psnr']:.1f} dB without the fit."
+    )
     return _with_provenance(f"{markdown(header, rows)}\n\n{what}", "stored")
 
 

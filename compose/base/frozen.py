@@ -14,7 +14,7 @@ from compose.base.collector import collector_paused
 
 # Recordings of a function that are kept, and from how many made Dr.Jit would take them for a mistake.
 _KEPT, _MANY = 64, 1 << 30
-# Types of values that Dr.Jit confuses when they repeat.
+# Types of values that are told apart by their value, not as objects.
 _PLAIN = {bool, int, float, str}
 # Sizes per octave that arrays are rounded up to, and the least one.
 _PER_OCTAVE, _LEAST = 4, 1024
@@ -120,16 +120,16 @@ def rebuilt(value: Any) -> Any:
 
 
 def _key(value: Any, by_size: bool) -> Any:
-    """Plain values in what was flattened and, if recordings differ by them, widths of all arrays."""
+    """Values in what was flattened and, if recordings differ by them, widths of all arrays."""
     kind = type(value)
     if kind is tuple:
         by_size = by_size and not (value and value[0] is AnySize)
         return tuple([_key(part, by_size) for part in value])
     if kind is dict:
         return tuple([_key(part, False) for part in value.values()])
-    if by_size and isinstance(value, dr.ArrayBase):
-        return dr.width(value)
-    return value if kind in _PLAIN else None
+    if isinstance(value, dr.ArrayBase):
+        return dr.width(value) if by_size else None
+    return (kind, value) if kind in _PLAIN else id(value)
 
 
 @cache

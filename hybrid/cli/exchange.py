@@ -9,9 +9,11 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from splat.model.choices import Precision
 
 if TYPE_CHECKING:
+    from splat.model.forest import Forest
     from splat.model.gaussians import Gaussians
 
 
@@ -30,10 +32,13 @@ def export_file(
         int | None,
         typer.Option(help="Layer to write, from 1, the coarsest. Default: the finest.", show_default=False),
     ] = None,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
 ) -> None:
     """Write one layer of a forest as a file that other viewers of 3D Gaussian splatting open.
 
-    Or the frames of a frame set as a data set of COLMAP, on which other programs train.
+    Gaussians that were trained here are fitted to look there as they do here; imported ones are written as
+    they came. Or write the frames of a frame set as a data set of COLMAP, on which other programs train.
     """
     if source.is_dir():
         if layer is not None:
@@ -46,6 +51,7 @@ def export_file(
         return
     from splat.io.forest_file import load_forest
     from splat.io.other_formats import format_of, save_gaussians
+    from splat.model.gaussians import Blending
     from splat.model.points import in_world
 
     format_of(output)
@@ -54,9 +60,26 @@ def export_file(
     number = len(layers) if layer is None else layer
     if not 1 <= number <= len(layers):
         raise UserError(f"--layer {layer}: {source} has layers 1 to {len(layers)}")
-    gaussians = in_world(layers[number - 1].gaussians, loaded.place)
-    save_gaussians(output, gaussians)
-    print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
+    gaussians, said = layers[number - 1].gaussians, "as imported"
+    if gaussians.blending is Blending.LINEAR:
+        o.select(backend)
+        gaussians, psnr = _fitted(loaded, number, seed)
+        said = f"{psnr:.1f} dB from the forest's own pictures"
+    save_gaussians(output, in_world(gaussians, loaded.place))
+    print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}, {said}")
+
+
+def _fitted(forest: Forest, layer: int, seed: int) -> tuple[Gaussians, float]:
+    """Gaussians of a layer for other viewers, and how they look there, as `fitted_for_display` returns it."""
+    from hybrid.base.compute_device import device_arrays
+    from hybrid.render.forest_attachments import views_of
+    from splat.training.display_fit import fitted_for_display, views_around
+
+    gaussians, focal = forest.layers[layer - 1].gaussians, forest.focal_of(layer)
+    views = [forest.place.camera(view) for view in views_of(forest)]
+    views = views or views_around(gaussians, focal, seed)
+    with progress_bar("fit for other viewers (steps)") as bar:
+        return fitted_for_display(device_arrays(), gaussians, focal, views, seed, bar)
 
 
 def import_file(

@@ -227,6 +227,7 @@ def compact(forest: Forest) -> Forest:
         ValueError: a number is not finite.
     """
     gaussians = decoded(encoded(forest.nodes, forest.counts)).gaussians
+    gaussians = replace(gaussians, blending=forest.nodes.gaussians.blending)
     return replace(forest, nodes=replace(forest.nodes, gaussians=gaussians))
 
 

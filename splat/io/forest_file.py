@@ -7,7 +7,7 @@ compact encoding has (`splat.io.compact`), otherwise as float32.
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from compose.base.files import under
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.io.compact import decoded, exactly_encoded
 from splat.io.tensors import (
+    BLENDED_VERSION,
     COMPACT_VERSION,
     FORMAT_VERSION,
     PLACED_VERSION,
@@ -28,7 +29,7 @@ from splat.io.tensors import (
 )
 from splat.model.dynamic_light import LightCourse
 from splat.model.forest import Forest
-from splat.model.gaussians import TENSORS, Directional, Gaussians
+from splat.model.gaussians import TENSORS, Blending, Directional, Gaussians
 from splat.model.layer import LABELS, Layer, check_forest
 from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics, NodeMotion
@@ -36,6 +37,7 @@ from splat.model.motion import Dynamics, NodeMotion
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
 # In the metadata of compact files: type and shape of each packed tensor.
 _PACKED = "packed"
+_BLENDING = "blending"
 _UNIT_TOLERANCE = 1e-6
 _TYPES = {"parent": torch.int32, "semantic": torch.int32, "dynamic": torch.bool}
 # Each one halves the resolution of the one below.
@@ -76,6 +78,8 @@ def save_forest(path: str | Path, forest: Forest) -> None:
             own |= {_DIRECTIONAL + "index": further.index, _DIRECTIONAL + "sh": further.sh}
             metadata["format_version"] = COMPACT_VERSION
         tensors |= {name: tensor.detach().cpu() for name, tensor in own.items()}
+    if nodes.gaussians.blending is not Blending.LINEAR:
+        metadata |= {"format_version": BLENDED_VERSION, _BLENDING: nodes.gaussians.blending.value}
     save_tensors(Path(path), tensors, metadata)
 
 
@@ -92,7 +96,7 @@ def load_forest(path: str | Path) -> Forest:
     try:
         is_packed = _PACKED in metadata
         tensors = unpacked(tensors, metadata[_PACKED]) if is_packed else tensors
-        nodes = decoded(tensors) if is_packed else _exact(tensors)
+        nodes = _blended(decoded(tensors) if is_packed else _exact(tensors), metadata)
         counts, focal = _counts(metadata["layers"]), float(metadata["trained_focal"])
         scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])
         attached, place = under(_ATTACHED, tensors), _place(metadata)
@@ -143,6 +147,12 @@ def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     if not bool((torch.isfinite(factors) & (factors >= 0)).all()):
         raise ValueError("factors of light that are not finite, or negative")
     return light
+
+
+def _blended(nodes: Layer, metadata: dict[str, Any]) -> Layer:
+    """The nodes with the blending that a file names; linear in files that name none."""
+    blending = Blending(metadata.get(_BLENDING, Blending.LINEAR))
+    return replace(nodes, gaussians=replace(nodes.gaussians, blending=blending))
 
 
 def _place(metadata: dict[str, Any]) -> Place:

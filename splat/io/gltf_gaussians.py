@@ -1,10 +1,9 @@
 """Gaussians from and to glTF (KHR_gaussian_splatting): transforms of nodes, colour spaces, GLB files.
 
-What the extension calls the colour space is what Gaussians are blended in. This project blends linear
-radiance, so that is what is written: `lin_rec709_display`, with harmonics of linear radiance. Those of a
-forest are of perceptual radiance; each is converted by fitting harmonics of its degree to the other curve,
-which is exact where nothing depends on direction. Written as `srgb_rec709_display`, no number would change,
-but viewers would blend on the sRGB curve, which differs much more (docs/measured/stored.md).
+What the extension calls the colour space is what Gaussians are blended in: `srgb_rec709_display` by the
+rules of 3D Gaussian splatting, `lin_rec709_display` in linear radiance, and harmonics are of that, too. Those
+of this project are always of perceptual radiance; each is converted by fitting harmonics of its degree
+to the other curve, which is exact where nothing depends on direction.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from compose.base.errors import UserError
 from compose.base.files import write_whole
 from splat.model.gaussians import (
+    Blending,
     Gaussians,
     perceptual_from_radiance,
     radiance_from_perceptual,
@@ -32,7 +32,7 @@ from splat.model.points import quaternions_xyzw, rows_of
 from splat.raster.projection import sh_basis
 
 EXTENSION = "KHR_gaussian_splatting"
-_COLOUR_SPACE = "lin_rec709_display"
+_COLOUR_SPACES = {Blending.DISPLAY: "srgb_rec709_display", Blending.LINEAR: "lin_rec709_display"}
 _FLOAT, _POINTS, _VERTICES = 5126, 0, 34962
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 _MOST_BYTES = (1 << 32) - (1 << 16)
@@ -85,6 +85,7 @@ def gaussians_from(
         columns(quaternions.as_quat(scalar_first=True)),
         columns(logits),
         harmonics.float(),
+        blending=Blending.LINEAR if is_linear else Blending.DISPLAY,
     )
 
 
@@ -93,7 +94,9 @@ def save_glb(path: Path, gaussians: Gaussians) -> None:
 
     UserError if the file cannot be written, or would be larger than GLB files can be.
     """
-    sh = refitted(gaussians.all_turning().sh.detach().cpu().double(), radiance_from_perceptual)
+    sh = gaussians.all_turning().sh.detach().cpu().double()
+    if gaussians.blending is Blending.LINEAR:
+        sh = refitted(sh, radiance_from_perceptual)
     turns = quaternions_xyzw(gaussians)
     attributes = {
         "POSITION": rows_of(gaussians.means),
@@ -108,14 +111,14 @@ def save_glb(path: Path, gaussians: Gaussians) -> None:
     size = sum(part.nbytes for part in parts.values())
     if size > _MOST_BYTES:
         raise UserError(f"{path}: {size:,} bytes; GLB files have at most {_MOST_BYTES:,}")
-    text = json.dumps(_tree(parts), separators=(",", ":")).encode()
+    text = json.dumps(_tree(parts, _COLOUR_SPACES[gaussians.blending]), separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sIIII", b"glTF", 2, 12 + 8 + len(text) + 8 + size, len(text), 0x4E4F534A)
     content = [head, text, struct.pack("<II", size, 0x004E4942), *(part.tobytes() for part in parts.values())]
     write_whole(path, lambda part: part.write_bytes(b"".join(content)))
 
 
-def _tree(parts: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _tree(parts: dict[str, NDArray[Any]], colour_space: str) -> dict[str, Any]:
     """The JSON of a file whose buffer has the attributes of a primitive one after the other."""
     views, accessors, start = [], [], 0
     for number, part in enumerate(parts.values()):
@@ -125,7 +128,7 @@ def _tree(parts: dict[str, NDArray[Any]]) -> dict[str, Any]:
         start += part.nbytes
     positions = parts["POSITION"]
     accessors[0] |= {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
-    described = {"kernel": "ellipse", "colorSpace": _COLOUR_SPACE}
+    described = {"kernel": "ellipse", "colorSpace": colour_space}
     primitive = {
         "mode": _POINTS,
         "attributes": {name: number for number, name in enumerate(parts)},

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -100,12 +101,12 @@ def save_gaussians(path: Path, gaussians: Gaussians) -> None:
 def half_turned(gaussians: Gaussians) -> Gaussians:
     """The same Gaussians after half a turn about the x axis."""
     sh, (w, x, y, z) = gaussians.all_turning().sh, gaussians.rotations
-    return Gaussians(
-        gaussians.means * torch.tensor(_AXES)[:, None],
-        gaussians.log_scales,
-        torch.stack([-x, w, -z, y]),
-        gaussians.opacity_logits,
-        sh * torch.tensor(_HARMONICS[: len(sh)])[:, None, None],
+    return replace(
+        gaussians,
+        means=gaussians.means * torch.tensor(_AXES)[:, None],
+        rotations=torch.stack([-x, w, -z, y]),
+        sh=sh * torch.tensor(_HARMONICS[: len(sh)])[:, None, None],
+        directional=None,
     )
 
 

@@ -14,7 +14,7 @@ from plyfile import PlyData, PlyParseError
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below, write_whole
-from splat.model.gaussians import MAX_DEGREE, Gaussians, sh_count
+from splat.model.gaussians import MAX_DEGREE, Blending, Gaussians, sh_count
 
 # The frames that imported Gaussians were trained on are unknown. With this focal length they get no wider
 # filter than the pixel's.
@@ -28,6 +28,8 @@ _MOST_HEADER = 1 << 16
 _UNREAD = ("nx", "ny", "nz")
 # A logit whose opacity is 1, and that of its negative 0, in float32.
 _OPAQUE = 20.0
+# The comment of files whose Gaussians are blended in linear radiance.
+_LINEAR = "blending linear"
 _LOG = logging.getLogger("hybrid")
 
 
@@ -47,6 +49,9 @@ def _ply_properties(degree: int) -> list[str]:
 def save_ply(path: str | Path, gaussians: Gaussians) -> None:
     """Writes Gaussians in the layout of the INRIA implementation, binary little-endian.
 
+    A comment says so if linear radiance is blended: other programs, which blend by the rules of 3D Gaussian
+    splatting, show such Gaussians otherwise.
+
     Raises:
         UserError: the file cannot be written.
     """
@@ -59,7 +64,9 @@ def save_ply(path: str | Path, gaussians: Gaussians) -> None:
     shape = gaussians.opacity_logits[None], gaussians.log_scales, turns
     columns = [gaussians.means, torch.zeros(3, n), *harmonics, *shape]
     table = torch.cat([c.detach().cpu() for c in columns]).T.contiguous().numpy().astype("<f4")
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment {_LINEAR}"] if gaussians.blending is Blending.LINEAR else []
+    header += [f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     content = "\n".join(header).encode() + table.tobytes()
     write_whole(Path(path), lambda part: part.write_bytes(content))
@@ -70,7 +77,8 @@ def load_ply(path: str | Path) -> Gaussians:
 
     The file may be binary of either byte order or ASCII, and its numbers of any type. What else it has, such
     as further properties or elements, is left out, and logged. Infinite opacity logits count as finite ones
-    of Gaussians that are opaque, or invisible.
+    of Gaussians that are opaque, or invisible. They are blended by the rules of 3D Gaussian splatting, unless
+    a comment says that they are not.
 
     Raises:
         UserError: the file is missing, damaged, or not of that layout, or another number is not finite.
@@ -78,7 +86,7 @@ def load_ply(path: str | Path) -> Gaussians:
     path = Path(path)
     if not path.is_file():
         raise UserError(f"{path}: no such file")
-    vertices, others = _read(path)
+    vertices, others, blending = _read(path)
     names = [name for name in vertices.dtype.names or () if vertices.dtype[name].kind in "fiu"]
     rest = sum(name.startswith("f_rest_") for name in names)
     degree = round((rest / 3 + 1) ** 0.5) - 1
@@ -99,11 +107,14 @@ def load_ply(path: str | Path) -> Gaussians:
     directional = [take(*(f"f_rest_{c * rest // 3 + k}" for c in range(3))) for k in range(rest // 3)]
     scales, turns = (take(*(f"{part}_{i}" for i in range(n))) for part, n in (("scale", 3), ("rot", 4)))
     sh = torch.cat([constant, torch.stack(directional)]) if rest else constant
-    return Gaussians(take("x", "y", "z"), scales, turns, take("opacity")[0], sh)
+    return Gaussians(take("x", "y", "z"), scales, turns, take("opacity")[0], sh, blending=blending)
 
 
-def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
-    """The rows of the element `vertex`, and the names of the others; UserError if the file is damaged."""
+def _read(path: Path) -> tuple[NDArray[Any], list[str], Blending]:
+    """The rows of the element `vertex`, the names of the others, and the blending.
+
+    UserError if the file is damaged.
+    """
     try:
         size = require_size_below(path, _MOST_BYTES)
         with path.open("rb") as file:
@@ -118,7 +129,9 @@ def _read(path: Path) -> tuple[NDArray[Any], list[str]]:
         found = PlyData.read(path, mmap="r")
         if "vertex" not in found:
             raise ValueError("it has no element vertex")
-        return found["vertex"].data, [element.name for element in found if element.name != "vertex"]
+        blending = Blending.LINEAR if _LINEAR in found.comments else Blending.DISPLAY
+        others = [element.name for element in found if element.name != "vertex"]
+        return found["vertex"].data, others, blending
     except (OSError, ValueError, OverflowError, MemoryError, PlyParseError) as error:
         raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
 

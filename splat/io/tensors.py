@@ -26,7 +26,9 @@ FORMAT_VERSION = 2
 PLACED_VERSION = 3
 # That of forests of which only some nodes have directional harmonics, or whose tensors are codes.
 COMPACT_VERSION = 4
-_VERSIONS = (FORMAT_VERSION, PLACED_VERSION, COMPACT_VERSION)
+# That of forests that are not blended in linear radiance, which earlier programs would draw too bright.
+BLENDED_VERSION = 5
+_VERSIONS = (FORMAT_VERSION, PLACED_VERSION, COMPACT_VERSION, BLENDED_VERSION)
 _METADATA, _CHECKSUM = "hybrid", "crc32"
 # Says that there is a checksum: otherwise, one whose name is damaged would be none.
 _CHECKED = "checked"

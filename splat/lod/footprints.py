@@ -102,6 +102,7 @@ class ForestFootprints:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
+        self._blending = forest.nodes.gaussians.blending
         self._nodes, self._time = _NodeTable(arrays, forest.nodes.gaussians), 0.0
         ends = np.cumsum(forest.counts).tolist()
         ranges = [(end - count, end) for end, count in zip(ends, forest.counts, strict=True)]
@@ -165,7 +166,8 @@ class ForestFootprints:
         if not dr.width(bounds.size):
             return None
         low_pass = PIXEL_FILTER * blur**2
-        index = dr.compress(may_show(self.arrays, bounds.means, bounds.size, camera, low_pass))
+        shown = may_show(self.arrays, bounds.means, bounds.size, camera, low_pass, self._blending)
+        index = dr.compress(shown)
         count = dr.width(index)
         if not count:
             return None
@@ -203,6 +205,7 @@ class _NodeTable:
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians):
         self._arrays, self._coefficients = arrays, gaussians.sh.shape[0]
+        self._blending = gaussians.blending
         # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
         self._records = _uploaded(arrays, **dict(gaussians.tensors()))
         further = gaussians.directional
@@ -228,7 +231,7 @@ class _NodeTable:
             # What they show to a camera, as constant harmonics.
             added = self._directional.constant(index, self._records, camera)
         dr.eval(index, added)
-        view = camera_numbers(arrays, camera), self._coefficients, capacity(count)
+        view = camera_numbers(arrays, camera, self._blending), self._coefficients, capacity(count)
         return _footprints(arrays, self._records, index, arrays.constant(count), added, *view)
 
 

@@ -40,11 +40,12 @@ from splat.lod.layer_images import (
 )
 from splat.lod.node_selection import EntryTable, chosen
 from splat.model.forest import Forest
+from splat.model.gaussians import Blending
 from splat.raster.binning import Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
 from splat.raster.blending import ImageSplit, blend, jumps
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import PAIRS_AT_ONCE, Parts, rasterize_parts
-from splat.raster.projection import PIXEL_FILTER, Footprints, filtered
+from splat.raster.projection import PIXEL_FILTER, Footprints, filtered, radiance_from_perceptual
 from splat.raster.records import Records
 from splat.raster.tiles import TILE, TileGrid
 
@@ -63,6 +64,7 @@ class ForestRenderer:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self.forest = arrays, forest
+        self._encoded = forest.nodes.gaussians.blending is Blending.DISPLAY
         self._footprints = ForestFootprints(arrays, forest)
 
     def set_time(self, time: float) -> None:
@@ -149,7 +151,7 @@ class ForestRenderer:
         shown = TileGrid(max(1, camera.width >> rate), max(1, camera.height >> rate))
         split = _FINE_SPLIT if shown.columns * shown.rows <= _FEW_TILES else 1
         grid = TileGrid(columns * TILE, len(mask) * TILE, TILE // split)
-        sizes = arrays.constant(nodes), capacity(nodes), split
+        sizes = arrays.constant(nodes), capacity(nodes), split, self._encoded
         splats, *runs = _splats(arrays, table, footprints, found, *sizes)
         mask = mask.repeat(split, axis=0).repeat(split, axis=1)
         heights = [split * part.height for part in parts]
@@ -158,9 +160,8 @@ class ForestRenderer:
             top = _rows_of(parts[:-1])
             placed = [replace(entry, top=entry.top - top) for entry in parts[-1].entries]
             mixture = Mixture.of(arrays, placed, grid.padded_width, camera)
-        images = _drawn_images(
-            arrays, Candidates(arrays, splats, grid, mask, None, runs), heights, mixture, over
-        )
+        candidates = Candidates(arrays, splats, grid, mask, None, runs)
+        images = _drawn_images(arrays, candidates, heights, mixture, over, self._encoded)
         size, firsts = (camera.width, camera.height), [part.entries[0].first_row * TILE for part in parts]
         shapes = [(grid.padded_width, CHANNELS, first) for first in firsts]
         if mixes:
@@ -212,7 +213,14 @@ def _tiles_of(parts: Sequence[AtlasPart]) -> Mask:
 
 
 def splats_of_candidates(
-    arrays: Arrays, table: EntryTable, footprints: Records, found: Any, count: Any, size: int, split: int
+    arrays: Arrays,
+    table: EntryTable,
+    footprints: Records,
+    found: Any,
+    count: Any,
+    size: int,
+    split: int,
+    encoded: bool,
 ) -> tuple[Any, ...]:
     """Candidates in samples of the atlas, boxed for its tiles, and their `run_lengths`.
 
@@ -220,6 +228,7 @@ def splats_of_candidates(
         found: (N,) numbers of the candidates, of which the first `count` are drawn.
         size: of the result, at least that.
         split: tiles of the rasterizer along the side of one of the atlas.
+        encoded: by which rules footprints are filtered.
     """
     lane = dr.arange(arrays.plain.UInt, size)
     known = lane < count
@@ -227,7 +236,7 @@ def splats_of_candidates(
     raw = Footprints(**vars(footprints.at(node)))
     # Fov-GS's Eq. 8, corrected: variance c (ppd / 2f)^2 px^2.
     resolved = 0.5 / table.cutoff(entry, raw.x, raw.y)
-    splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
+    splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)), encoded)
     splats.opacity = dr.select(known, splats.opacity, 0)
     bounds = TileBounds(entry.columns * split, entry.top * split, entry.bottom * split)
     # From pixels of the frame to samples of the atlas.
@@ -239,17 +248,22 @@ def splats_of_candidates(
 
 
 def _drawn_images(
-    arrays: Arrays, candidates: Candidates, heights: list[int], mixture: Mixture | None, over: bool
+    arrays: Arrays,
+    candidates: Candidates,
+    heights: list[int],
+    mixture: Mixture | None,
+    over: bool,
+    encoded: bool,
 ) -> list[Any]:
     """Images of candidates, the last one composited if there is a mixture."""
     runs, grid = candidates.runs(candidates.whole), candidates.grid
     split = ImageSplit.of(arrays, grid, heights)
     if not 0 < runs.pairs <= PAIRS_AT_ONCE:
         images = rasterize_parts(arrays, Parts(candidates), heights)
-        return images if mixture is None else _mixed(arrays, images, mixture, over)
+        return _finished(arrays, images, mixture, over, encoded)
     pairs, _ = candidates.sorted(runs)
     jumping = jumps(arrays, runs.pairs, int(np.count_nonzero(candidates.wanted)))
-    return _images(arrays, candidates.found.blended, pairs, split, jumping, mixture, over)
+    return _images(arrays, candidates.found.blended, pairs, split, jumping, mixture, over, encoded)
 
 
 def images_of_pairs(
@@ -260,17 +274,35 @@ def images_of_pairs(
     jumping: bool,
     mixture: Mixture | None,
     over: bool,
+    encoded: bool,
 ) -> list[Any]:
     """Images of sorted candidates, the last one composited if there is a mixture."""
     images = blend(arrays, blended, lists(arrays, pairs), split, jumping)
-    return images if mixture is None else _mixed(arrays, images, mixture, over)
+    return _finished(arrays, images, mixture, over, encoded)
 
 
-def _mixed(arrays: Arrays, images: list[Any], mixture: Mixture, over: bool) -> list[Any]:
-    """The images without the last one, which is composited into the first one, or into one before all."""
+def _finished(
+    arrays: Arrays, images: list[Any], mixture: Mixture | None, over: bool, encoded: bool
+) -> list[Any]:
+    """Images in linear radiance; of a mixture without the last one.
+
+    That one is composited into the first one, or into one before all.
+    """
+    if encoded:
+        images = [_radiance(arrays, image) for image in images]
+    if mixture is None:
+        return images
     *others, atlas = images
     frame = others.pop(0) if over else None
     return [composited(arrays, mixture, atlas, frame), *others]
+
+
+def _radiance(arrays: Arrays, image: Any) -> Any:
+    """An image of blended perceptual values in linear radiance; its fourth channel, opacity, is as it was."""
+    is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
+    radiance = dr.select(is_colour, radiance_from_perceptual(image), image)
+    dr.eval(radiance)
+    return radiance
 
 
 _chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)

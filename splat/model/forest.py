@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.dynamic_light import LightCourse, SurfaceLight
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import Blending, Gaussians
 from splat.model.layer import Layer, concatenated_layers
 from splat.model.motion import Dynamics
 from splat.model.points import rows_of, z_curve_order
@@ -83,10 +83,13 @@ class Forest:
         return self.trained_focal / 2 ** (len(self.counts) - layer)
 
     def digest(self) -> str:
-        """Hash of the Gaussians, their place and the attached tensors."""
-        # Forests in the world's own coordinates keep the hash that they had before there were others.
+        """Hash of the Gaussians, their place and blending, and the attached tensors."""
+        # Forests in the world's own coordinates keep the hash that they had before there were others, and so
+        # do those that are blended linearly.
         place = (self.place,) if self.place != WORLD else ()
-        state = hashlib.sha256(repr((self.counts, self.trained_focal, *place)).encode())
+        blending = self.nodes.gaussians.blending
+        blended = () if blending is Blending.LINEAR else (blending.value,)
+        state = hashlib.sha256(repr((self.counts, self.trained_focal, *place, *blended)).encode())
         motion = () if self.motion is None else (self.nodes.semantic, *self.motion.tensors().values())
         light = () if self.light is None else tuple(self.light.tensors().values())
         own = self.nodes.gaussians.every_tensor()

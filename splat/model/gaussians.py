@@ -2,7 +2,7 @@
 
 Radiance is linear and unbounded. The spherical harmonics represent it on a perceptual scale, the sRGB curve
 continued above 1: on this scale 3D Gaussian splatting trains, its files store colours, and a lamp of
-radiance 50 is only 5.3.
+radiance 50 is only 5.3. `Blending` says whether values of this scale or radiance are blended.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from itertools import accumulate
+from typing import Any
 
 import torch
 
@@ -36,6 +38,16 @@ def as_rows(tensor: torch.Tensor) -> torch.Tensor:
 
 # Names of the tensors that all Gaussians have.
 TENSORS = ("means", "log_scales", "rotations", "opacity_logits", "sh")
+
+
+class Blending(str, Enum):
+    """What of Gaussians is blended, by whose rules, under the names in files."""
+
+    # Linear radiance, with the filter of Mip-Splatting: those trained here.
+    LINEAR = "linear"
+    # Values of the perceptual scale, which are display-encoded, with filter and limits of 3D Gaussian
+    # splatting (Kerbl et al. 2023): those of its files. The blended image is made linear radiance afterwards.
+    DISPLAY = "display"
 
 
 @dataclass
@@ -75,6 +87,7 @@ class Gaussians:
         sh: (K, 3, N) spherical harmonics of the perceptual radiance minus 0.5, K = (degree + 1)^2; with
             `directional` the constant one alone, (1, 3, N).
         directional: the other ones, where only some Gaussians have them; None if all do, or none.
+        blending: how they were trained to be blended, and are.
 
     Raises:
         ValueError: a tensor has the wrong shape.
@@ -86,6 +99,7 @@ class Gaussians:
     opacity_logits: torch.Tensor
     sh: torch.Tensor
     directional: Directional | None = field(default=None, kw_only=True)
+    blending: Blending = field(default=Blending.LINEAR, kw_only=True)
 
     def __post_init__(self) -> None:
         n = self.opacity_logits.shape[-1]
@@ -141,21 +155,23 @@ class Gaussians:
         further = self.directional
         if further is not None:
             further = Directional(further.index.to(device), further.sh.to(device))
-        return Gaussians(*(tensor.to(device) for _, tensor in self.tensors()), directional=further)
+        own: Any = {name: tensor.to(device) for name, tensor in self.tensors()}
+        return replace(self, **own, directional=further)
 
     def select(self, keep: torch.Tensor) -> Gaussians:
         """The Gaussians at an index or a mask (N,), copied."""
-        own = (tensor[..., keep].contiguous() for _, tensor in self.tensors())
+        own: Any = {name: tensor[..., keep].contiguous() for name, tensor in self.tensors()}
         further = None if self.directional is None else self.directional.select(keep, len(self))
-        return Gaussians(*own, directional=further)
+        return replace(self, **own, directional=further)
 
     def part(self, start: int, end: int) -> Gaussians:
         """The Gaussians from start up to end; shares memory."""
-        own, further = (tensor[..., start:end] for _, tensor in self.tensors()), self.directional
+        own: Any = {name: tensor[..., start:end] for name, tensor in self.tensors()}
+        further = self.directional
         if further is not None:
             first, last = torch.searchsorted(further.index, torch.tensor([start, end])).tolist()
             further = Directional(further.index[first:last] - start, further.sh[..., first:last])
-        return Gaussians(*own, directional=further)
+        return replace(self, **own, directional=further)
 
     def turning(self, kept: torch.Tensor) -> Gaussians:
         """The same Gaussians, of which only those at a mask (N,) keep harmonics above the constant one."""
@@ -191,7 +207,7 @@ class Gaussians:
 
 
 def concatenated(parts: list[Gaussians]) -> Gaussians:
-    """All Gaussians of several sets of the same degree, in order."""
+    """All Gaussians of several sets of the same degree, which are blended alike, in order."""
     further = None
     if any(part.directional is not None for part in parts):
         parts = [apart(part) for part in parts]
@@ -199,8 +215,8 @@ def concatenated(parts: list[Gaussians]) -> Gaussians:
         own = [(start, part.directional) for start, part in zip(starts, parts, strict=False)]
         index = torch.cat([d.index + start for start, d in own if d is not None])
         further = Directional(index, torch.cat([d.sh for _, d in own if d is not None], dim=-1))
-    tensors = (torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS)
-    return Gaussians(*tensors, directional=further)
+    tensors: Any = {name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS}
+    return replace(parts[0], **tensors, directional=further)
 
 
 def written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gaussians:

@@ -20,7 +20,7 @@ _FLATTEST = 1e-7
 
 
 def merge(a: Gaussians, b: Gaussians) -> Gaussians:
-    """Merges N pairs of Gaussians of one degree.
+    """Merges N pairs of Gaussians of one degree, which are blended alike.
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
     the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
@@ -45,7 +45,8 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
     logits, part = log_opacity - np.log1p(-np.exp(log_opacity)), to_torch(share)
     sh = part * a.all_turning().sh + (1 - part) * b.all_turning().sh
-    merged = Gaussians(*[*map(to_torch, (mean.T, log_scales.T, quaternion.T, logits)), sh])
+    shape = map(to_torch, (mean.T, log_scales.T, quaternion.T, logits))
+    merged = Gaussians(*[*shape, sh], blending=a.blending)
     if a.directional is None and b.directional is None:
         return merged
     return merged.turning(a.turns | b.turns)

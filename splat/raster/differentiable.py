@@ -24,7 +24,7 @@ from compose.base.frozen import AnySize, Frozen, capacity
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
 from compose.image.colour import SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, linear_power
-from splat.model.gaussians import SH_DC, Directional, Gaussians
+from splat.model.gaussians import SH_DC, Blending, Directional, Gaussians, radiance_from_perceptual
 from splat.model.points import from_world
 from splat.raster.binning import Boxed, Candidates, TileBounds, boxed, everywhere
 from splat.raster.blending import gradients_from_sums
@@ -105,7 +105,8 @@ def render(
 
     Args:
         gaussians: N Gaussians, all tensors on one device.
-        low_pass: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
+        low_pass: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more. By the
+            rules of 3D Gaussian splatting (`Blending.DISPLAY`), at least 0.3.
         place: coordinates to compute in. What is nearer than 0.01 units is not drawn: for Gaussians that are
             much smaller than a room, give the size of what they show as its unit.
 
@@ -134,7 +135,8 @@ def render_differentiable(
         # An empty sum carries the gradient, which has no elements. Dr.Jit refuses arrays of none.
         black = gaussians.opacity_logits.new_zeros(camera.height, camera.width, 3)
         return black + sum(tensor.sum() for tensor in tensors)
-    return _Render.apply(arrays, camera, low_pass, *tensors)
+    image = _Render.apply(arrays, camera, low_pass, gaussians.blending, *tensors)
+    return radiance_from_perceptual(image) if gaussians.blending is Blending.DISPLAY else image
 
 
 def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
@@ -188,17 +190,20 @@ def _arrays(backend: BackendName) -> Arrays:
 
 
 class _Render(torch.autograd.Function):
-    """The bridge: torch holds parameters and loss, Dr.Jit computes image and gradients."""
+    """The bridge: torch holds parameters and loss, Dr.Jit computes image and gradients.
+
+    The image has what is blended: linear radiance, or values of the perceptual scale.
+    """
 
     @staticmethod
     def forward(  # type: ignore[override]
-        ctx: Any, arrays: Arrays, camera: Camera, low_pass: float, *tensors: torch.Tensor
+        ctx: Any, arrays: Arrays, camera: Camera, low_pass: float, blending: Blending, *tensors: torch.Tensor
     ) -> torch.Tensor:
         # Of tensors that may have other shapes than when they were made Gaussians.
         rows = aligned_rows(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
         wait_for_torch(tensors[0].device)
         grid = TileGrid(camera.width, camera.height)
-        view = camera_numbers(arrays, camera), constant(arrays.plain.Float, low_pass)
+        view = camera_numbers(arrays, camera, blending), constant(arrays.plain.Float, low_pass)
         count = dr.width(rows[0])
         padded = PaddedRows(AnySize(rows), arrays.constant(count), capacity(count + 1))
         splats, found = _projected(arrays, padded, *view, everywhere(arrays, grid), grid.side)
@@ -232,7 +237,7 @@ class _Render(torch.autograd.Function):
         found = arrays.to_torch(block, gradient.device).reshape(-1, padded.size)[:, : shapes[0][-1]]
         sizes = [shape.numel() // shape[-1] for shape in shapes]
         results = [part.reshape(s) for part, s in zip(found.split(sizes), shapes, strict=True)]
-        return (None, None, None, *results)
+        return (None, None, None, None, *results)
 
 
 def parameters_of(rows: list[Any]) -> Parameters:
@@ -327,7 +332,8 @@ def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tenso
         return torch.zeros(0, dtype=torch.int64, device=means.device)
     rows = aligned_rows(arrays, [means, log_scales])
     longest = dr.exp(dr.maximum(dr.maximum(rows[3], rows[4]), rows[5]))
-    index = arrays.plain.Int(dr.compress(may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER)))
+    shown = may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER, gaussians.blending)
+    index = arrays.plain.Int(dr.compress(shown))
     return arrays.to_torch(index, means.device).long()
 
 

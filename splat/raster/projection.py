@@ -1,7 +1,8 @@
 """EWA projection of 3D Gaussians and their colour as seen from a camera, differentiated by Dr.Jit.
 
 Zwicker et al., EWA Splatting (2002). The low-pass filter and its compensation are those of Mip-Splatting
-(Yu et al. 2024), the exponent and the determinants those of 3D Gaussian splatting (Kerbl et al. 2023).
+(Yu et al. 2024), the exponent and the determinants those of 3D Gaussian splatting (Kerbl et al. 2023). So
+is everything else for Gaussians that are blended by its rules (`Blending.DISPLAY`).
 
 Any finite parameters give finite splats and gradients: no determinant is formed, which would leave float32's
 range where standard deviations come near 1e9 px, and none of the terms that are subtracted can cancel where
@@ -21,16 +22,18 @@ import drjit as dr
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.image.colour import SRGB_DARK_VALUE, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE, srgb_power
-from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
+from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC, Blending
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
 PIXEL_FILTER = 0.1
+# What Kerbl et al. add to each 2D covariance, in px^2, and leave the opacity as it is.
+_DILATION = 0.3
 # A Gaussian seen edge-on has no area before it is filtered; without a floor its gradient divides by zero.
 _COMPENSATION_FLOOR = 2.5e-5
 # The projection is linearized no further out than at the border of the frame, and Gaussians beyond it as seen
 # from there: at their own tangent, those beside the camera would smear over the whole frame. Kerbl et al. go
 # out to 1.3 times the half field of view, which leaves a haze where viewers stand near a wall.
-_TANGENT_LIMIT = 1.0
+_TANGENT_LIMITS = {Blending.LINEAR: 1.0, Blending.DISPLAY: 1.3}
 # Gaussians nearer to the camera are not drawn. In their own unit of length (`Place`), so that neither this
 # nor the range of depths that are told apart depends on the size of a scene.
 NEAR = 0.01
@@ -68,7 +71,7 @@ class Splats:
     shear: Any  # px by which the centre of a row moves to the left per row
     y_precision: Any  # inverse of the variance of y, in 1/px^2
     opacity: Any  # in 0..1, 0 for a Gaussian behind the near plane
-    red: Any  # red, green, blue: linear radiance
+    red: Any  # red, green, blue: what is blended, by default linear radiance
     green: Any
     blue: Any
     depth: Any  # along the view axis; only its order matters
@@ -104,7 +107,10 @@ class Parameters:
 
 @dataclass(frozen=True)
 class CameraNumbers:
-    """A camera as kernels read it, numbers of width 1 in memory: one kernel serves every camera."""
+    """A camera as kernels read it, numbers of width 1 in memory: one kernel serves every camera.
+
+    But Gaussians that are blended by other rules have kernels of their own.
+    """
 
     rotation: list[Any]  # of the world into the camera's axes, row by row, and the eye, in float64
     eye: list[Any]
@@ -112,26 +118,35 @@ class CameraNumbers:
     centre: list[Any]  # cx, cy
     limits: list[Any]  # of the tangents
     half: list[Any]  # half the frame's width and height in pixels
+    encoded: bool  # whether the rules are those of `Blending.DISPLAY`
 
     def like(self, number: Any) -> CameraNumbers:
         """The numbers in types that go with a kind of Float."""
         double = dr.float64_array_t(number)
-        wide = ([double(value) for value in values] for values in (self.rotation, self.eye))
+        wide = [[double(value) for value in values] for values in (self.rotation, self.eye)]
         rest = self.focal, self.centre, self.limits, self.half
-        return CameraNumbers(*wide, *([number(value) for value in values] for values in rest))
+        narrow = [[number(value) for value in values] for values in rest]
+        parts: list[Any] = [*wide, *narrow, self.encoded]
+        return CameraNumbers(*parts)
 
 
 def project(parameters: Parameters, camera: CameraNumbers, low_pass: Any) -> Splats:
     """Projects Gaussians onto a camera's film and filters them, differentiably.
 
-    The low-pass, a float or an array (N,), is the variance in px^2 that is added to each 2D covariance.
+    The low-pass, a float or an array (N,), is the variance in px^2 that is added to each 2D covariance; by
+    the rules of 3D Gaussian splatting, at least 0.3.
     """
-    return filtered(footprints(parameters, camera), low_pass)
+    return filtered(footprints(parameters, camera), low_pass, camera.encoded)
 
 
-def filtered(raw: Footprints, low_pass: Any) -> Splats:
-    """The footprints blurred by a Gaussian of that variance in px^2; each keeps its total light."""
+def filtered(raw: Footprints, low_pass: Any, encoded: bool) -> Splats:
+    """The footprints blurred by a Gaussian of that variance in px^2; each keeps its total light.
+
+    `encoded` footprints are dilated already, and only what that lacks is added.
+    """
     variance = dr.opaque(type(raw.opacity), low_pass) if isinstance(low_pass, float) else low_pass
+    if encoded:
+        variance = dr.maximum(variance - _DILATION, 0)
     y_precision = dr.rcp(raw.yy + variance)
     # Of the variance of y, the Gaussian's own share and that of the filter.
     own, added = raw.yy * y_precision, variance * y_precision
@@ -145,7 +160,7 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
 
 
 def footprints(parameters: Parameters, camera: CameraNumbers) -> Footprints:
-    """Projects Gaussians onto a camera's film, without a filter."""
+    """Projects Gaussians onto a camera's film, without a filter but the dilation of 3D Gaussian splatting."""
     number: Any = type(parameters.opacity_logits)
     view = camera.like(number)
     rotation, (fx, fy), (cx, cy), (limit_x, limit_y) = view.rotation, view.focal, view.centre, view.limits
@@ -168,8 +183,20 @@ def footprints(parameters: Parameters, camera: CameraNumbers) -> Footprints:
     opacity = dr.select(seen, dr.rcp(1 + dr.exp(-logits)), 0)
 
     colour = perceptual_radiance(parameters.sh, _normalized(from_eye))
-    red, green, blue = map(radiance_from_perceptual, colour)
+    if view.encoded:
+        covariance = _dilated(*covariance)
+        red, green, blue = (dr.clip(value, 0, _LARGEST_PERCEPTUAL) for value in colour)
+    else:
+        red, green, blue = map(radiance_from_perceptual, colour)
     return Footprints(x, y, *covariance, opacity, red, green, blue, dr.detach(vz))
+
+
+def _dilated(xx: Any, xy: Any, yy: Any, conditional: Any) -> tuple[Any, Any, Any, Any]:
+    """What `_covariance` returns, of covariances with the dilation added."""
+    own = dr.rcp(yy + _DILATION)
+    # The determinant |V| + h (xx + yy + h) over yy + h, as in `filtered`.
+    conditional = conditional * yy * own + xx * _DILATION * own + _DILATION
+    return xx + _DILATION, xy, yy + _DILATION, conditional
 
 
 def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> tuple[Any, Any, Any, Any]:
@@ -202,12 +229,14 @@ def directional_constant(arrays: Arrays, sh: list[list[Any]], means: list[Any], 
     return [channel / SH_DC for channel in sh_sums(sh, basis)]
 
 
-def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:
+def view_position(
+    arrays: Arrays, means: list[Any], camera: Camera, blending: Blending = Blending.LINEAR
+) -> tuple[Any, Any, Any, Any]:
     """Positions of centres on the film: whether in front, x, y in pixels, and pixels per unit of length.
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
     """
-    view = camera_numbers(arrays, camera)
+    view = camera_numbers(arrays, camera, blending)
     (fx, fy), (cx, cy), (limit_x, limit_y) = view.focal, view.centre, view.limits
     vx, vy, vz = _in_camera(view.rotation, _from_eye(means, view.eye))
     seen = vz > NEAR
@@ -218,32 +247,42 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     return seen, dr.fma(tx, fx, cx), dr.fma(ty, fy, cy), spread
 
 
-def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pass: float) -> Any:
+def may_show(
+    arrays: Arrays,
+    means: list[Any],
+    size: Any,
+    camera: Camera,
+    low_pass: float,
+    blending: Blending = Blending.LINEAR,
+) -> Any:
     """Mask (N,) of all Gaussians that are drawn in a camera's frame, and of some beside it.
 
     Their sizes (N,) are longest axes, as standard deviations; the low-pass is as in `project`.
     """
-    seen, x, y, spread = view_position(arrays, means, camera)
-    reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)
+    seen, x, y, spread = view_position(arrays, means, camera, blending)
+    added = low_pass if blending is Blending.LINEAR else max(low_pass, _DILATION)
+    reach = _REACH * dr.sqrt(dr.square(size * spread) + added)
     half_width, half_height = camera_numbers(arrays, camera).half
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)
 
 
 @lru_cache(maxsize=4)
-def camera_numbers(arrays: Arrays, camera: Camera) -> CameraNumbers:
+def camera_numbers(arrays: Arrays, camera: Camera, blending: Blending = Blending.LINEAR) -> CameraNumbers:
     """Those of a camera, uploaded together, and kept, since a view has several layers."""
     across = max(camera.cx, camera.width - camera.cx) / camera.fx
     down = max(camera.cy, camera.height - camera.cy) / camera.fy
+    limit = _TANGENT_LIMITS[blending]
     values = [
         *(*camera.world_to_camera[:3, :3].flat, *camera.position),
         *(camera.fx, camera.fy, camera.cx, camera.cy),
-        *(_TANGENT_LIMIT * across, _TANGENT_LIMIT * down, camera.width / 2, camera.height / 2),
+        *(limit * across, limit * down, camera.width / 2, camera.height / 2),
     ]
     found = arrays.scalars(arrays.plain.Float64, values)
     found[12:] = [arrays.plain.Float(value) for value in found[12:]]
     dr.eval(found)
-    return CameraNumbers(found[:9], found[9:12], found[12:14], found[14:16], found[16:18], found[18:])
+    parts = found[:9], found[9:12], found[12:14], found[14:16], found[16:18], found[18:]
+    return CameraNumbers(*parts, blending is Blending.DISPLAY)
 
 
 # Dr.Jit complains of arrays that outlive it.

@@ -11,9 +11,11 @@ import torch
 from safetensors import safe_open
 
 from compose.base.errors import UserError
+from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
+from splat.model.gaussians import Blending
 from splat.model.layer import static_layer
 from splat.model.trees import build_forest
 from tests.splat.samples import equal, gaussians
@@ -67,6 +69,26 @@ def test_the_file_has_its_documented_keys(tmp_path):
         "scene_name": "somewhere",
         "scene_hash": "ab" * 32,
     }
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_blending_comes_back(rounded, tmp_path):
+    """In a version that older programs refuse: they would draw too bright."""
+    own = replace(forest().nodes.gaussians, blending=Blending.DISPLAY)
+    made = replace(forest(), nodes=replace(forest().nodes, gaussians=own))
+    save_forest(tmp_path / "f", compact(made) if rounded else made)
+    back = load_forest(tmp_path / "f")
+    assert back.finest.blending is Blending.DISPLAY
+    tensors, metadata = load_tensors(tmp_path / "f")
+    assert (metadata["format_version"], metadata["blending"]) == (5, "display")
+    assert back.digest() != replace(back, nodes=forest().nodes).digest()
+    save_tensors(tmp_path / "f", tensors, {**metadata, "blending": "dark"})
+    with pytest.raises(UserError, match="f: damaged forest file"):
+        load_forest(tmp_path / "f")
+    # Files of before are of Gaussians that were trained here.
+    del metadata["blending"]
+    save_tensors(tmp_path / "f", tensors, {**metadata, "format_version": 4})
+    assert load_forest(tmp_path / "f").finest.blending is Blending.LINEAR
 
 
 def some_turning() -> Forest:

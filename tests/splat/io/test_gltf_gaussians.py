@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from splat.io import gltf_gaussians
 from splat.io.gltf_gaussians import EXTENSION, gaussians_from, save_glb
-from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance
+from splat.model.gaussians import SH_DC, Blending, Gaussians, perceptual_from_radiance
 from splat.raster.differentiable import render_differentiable
 from tests.extremes import extreme
 from tests.splat.samples import camera, gaussians
@@ -104,6 +105,17 @@ def test_colours_that_are_the_same_from_all_sides_come_back(tmp_path):
         assert (getattr(sent, name) - getattr(back, name)).abs().max() <= bound
 
 
+def test_what_is_blended_as_displayed_is_written_as_it_is(tmp_path):
+    sent = replace(gaussians("overlap", n=COUNT, degree=2), blending=Blending.DISPLAY)
+    save_glb(tmp_path / "a.glb", sent)
+    tree, arrays = written(tmp_path / "a.glb")
+    (primitive,) = tree["meshes"][0]["primitives"]
+    assert primitive["extensions"][EXTENSION]["colorSpace"] == "srgb_rec709_display"
+    assert np.array_equal(arrays[f"{EXTENSION}:SH_DEGREE_2_COEF_3"].T, sent.sh[7].numpy())
+    back = [gaussians_from(**stored(sent, is_linear=linear)).blending for linear in (False, True)]
+    assert back == [Blending.DISPLAY, Blending.LINEAR]
+
+
 def test_what_depends_on_direction_comes_back_nearly(tmp_path, arrays):
     sent = gaussians("overlap", n=COUNT, degree=3)
     sent.sh[1:] *= 0.3
@@ -133,7 +145,7 @@ def test_a_node_leaves_the_picture_to_a_camera_that_moves_with_it(arrays, scale)
     pose = view.world_to_camera @ np.linalg.inv(node)
     pose[:3] *= scale
     moved = Camera(pose, view.width, view.height, view.fx, view.fy, view.cx, view.cy)
-    expected = render_differentiable(arrays, sent, view).numpy()
+    expected = render_differentiable(arrays, replace(sent, blending=Blending.DISPLAY), view).numpy()
     found = render_differentiable(arrays, gaussians_from(**stored(sent, to_world=node)), moved).numpy()
     assert expected.max() > 0.1
     np.testing.assert_allclose(found, expected, atol=5e-4)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from compose.camera.coordinate_systems import mitsuba_from_opencv
 from splat.io.ply import UNBOUND_FOCAL, load_ply, save_ply
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
-from splat.model.gaussians import SH_DC, Gaussians
+from splat.model.gaussians import SH_DC, Blending, Gaussians
 from splat.model.layer import static_layer
 from splat.raster.differentiable import render_differentiable
 from tests.conftest import real_file
@@ -46,12 +48,23 @@ def test_the_layout_is_that_of_the_inria_implementation(tmp_path):
     save_ply(tmp_path / "one.ply", one)
     header, body = (tmp_path / "one.ply").read_bytes().split(b"end_header\n")
     lines = header.decode().splitlines()
-    assert lines[:3] == ["ply", "format binary_little_endian 1.0", "element vertex 1"]
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    assert lines[2:4] == ["comment blending linear", "element vertex 1"]
     names = [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(9))]
     names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    assert lines[3:] == [f"property float {name}" for name in names]
+    assert lines[4:] == [f"property float {name}" for name in names]
     numbers = [1, 2, 3, 0, 0, 0, 0, 1, 2, 3, 6, 9, 4, 7, 10, 5, 8, 11, 7, 4, 5, 6, 1, 0, 0, 0]
     assert np.frombuffer(body, "<f4").tolist() == numbers
+
+
+@pytest.mark.parametrize("blending", Blending)
+def test_blending_is_kept_and_that_of_other_programs_without_a_word(tmp_path, blending):
+    save_ply(tmp_path / "g.ply", replace(gaussians("overlap", n=3), blending=blending))
+    content = (tmp_path / "g.ply").read_bytes()
+    assert (b"comment" in content) == (blending is Blending.LINEAR)
+    assert load_ply(tmp_path / "g.ply").blending is blending
+    (tmp_path / "g.ply").write_bytes(content.replace(b"comment blending linear\n", b""))
+    assert load_ply(tmp_path / "g.ply").blending is Blending.DISPLAY
 
 
 def test_properties_are_found_by_name(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from splat.model.forest import Forest, forest_of
+from splat.model.gaussians import Blending
 from splat.model.layer import Layer, check_forest, static_layer
 from splat.model.trees import build_forest
 from tests.splat.samples import equal, gaussians
@@ -60,6 +61,8 @@ def test_the_digest_tells_forests_apart(layers):
     forest = forest_of(layers, 120.0, "room", "ab")
     assert forest.digest() == forest_of(layers, 120.0, "kitchen", "cd").digest()
     others = [replace(forest, trained_focal=60.0), replace(forest, attached={"a": torch.zeros(2)})]
+    blended = replace(forest.nodes.gaussians, blending=Blending.DISPLAY)
+    others.append(replace(forest, nodes=replace(forest.nodes, gaussians=blended)))
     others.append(replace(forest, counts=(*forest.counts[:-2], sum(forest.counts[-2:]))))
     for name, tensor in forest.nodes.gaussians.tensors():
         moved = {n: t.clone() for n, t in forest.nodes.gaussians.tensors()}

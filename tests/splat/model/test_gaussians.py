@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
-from splat.model.gaussians import Gaussians, concatenated, sh_count
+from splat.model.gaussians import Blending, Gaussians, apart, concatenated, sh_count
+from splat.model.trees import merge
 from tests.splat.samples import equal, gaussians
 
 
@@ -62,3 +65,17 @@ def test_a_single_bad_number_is_found(name, value):
 
 def test_no_gaussians_are_finite():
     assert gaussians(n=3).select(torch.arange(0)).is_finite()
+
+
+def test_blending_stays_with_gaussians():
+    own = replace(gaussians(n=8), blending=Blending.DISPLAY)
+    halves = [own.part(0, 4), own.select(torch.arange(4, 8))]
+    others = [
+        *halves,
+        concatenated(halves),
+        own.to(torch.device("cpu")),
+        apart(own),
+        apart(own).all_turning(),
+    ]
+    others += [apart(own).part(2, 5), concatenated([apart(half) for half in halves]), merge(*halves)]
+    assert {other.blending for other in others} == {Blending.DISPLAY}
