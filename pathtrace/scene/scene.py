@@ -16,6 +16,7 @@ import numpy as np
 from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
+from pathtrace.scene.instances import InstancedScene, traceable
 from pathtrace.scene.loading import (
     Source,
     camera_of_sensor,
@@ -106,7 +107,8 @@ class Scene:
         hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
             is not the scene's own, since images at another depth show other light, and of its coordinates if
             these are not the world's, and of thin glass.
-        mitsuba: the Mitsuba scene, in the scene's coordinates.
+        mitsuba: the Mitsuba scene, in the scene's coordinates; of one with instances, what stands in for it
+            (pathtrace.scene.instances).
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else `own_depth`.
         own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most.
@@ -168,7 +170,9 @@ class Scene:
 
     @property
     def triangles(self) -> int:
-        """Number of triangles of all meshes; analytic shapes have none."""
+        """Number of triangles of all meshes, of each instance of one; analytic shapes have none."""
+        if isinstance(self.mitsuba, InstancedScene):
+            return self.mitsuba.triangles
         return sum(shape.face_count() for shape in self.mitsuba.shapes() if shape.is_mesh())
 
 
@@ -238,6 +242,7 @@ def _loaded(
             raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
         fingerprint = text_fingerprint(f"{fingerprint} with thin glass")
     ordered, names = with_ordered_shapes(loaded)
+    ordered = traceable(ordered)
     moving = None
     if moves is not None:
         moving = MovingScene(ordered, moves, names, place, name)

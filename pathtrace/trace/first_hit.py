@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR, STILL, UNSTEADY
+from pathtrace.scene.instances import seen_shapes
 
 # Distance of the sky: beyond any scene, for its square is about the largest number that float32 holds. Seen
 # from anywhere in the scene, it lies in the same direction.
@@ -77,7 +78,7 @@ class AuxiliaryFeatures:
 
 def has_clear_surfaces(scene: Any) -> bool:
     """Whether a Mitsuba scene has mirrors or clear glass."""
-    return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes())
+    return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in seen_shapes(scene))
 
 
 def first_hits(scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES) -> FirstHits:
@@ -151,8 +152,3 @@ def _mover(hits: FirstHits, hit: Any, shown: Any, movers: Sequence[tuple[int, in
     # In mirrors and behind glass, it is not the surface itself that is seen.
     itself = shown & (hits.unfolded == hits.surface.t)
     return dr.select(hit, dr.select(itself, number, mi.Float(UNSTEADY)), mi.Float(STILL))
-
-
-def registered(shape: Any) -> int:
-    """The number by which kernels know a shape."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])

@@ -10,12 +10,15 @@ import mitsuba as mi
 
 from compose.base.collector import collector_paused
 from compose.base.frozen import Frozen, Passed, rebuilt
+from pathtrace.scene.instances import InstancedScene, array_indices, of_mitsuba
 
 # Array types by whose entries one gets at all objects that Mitsuba has registered.
 _REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "Texture"
 # More objects than there are, and what stands for one that there is not.
 _NO_NUMBER = 1 << 30
 _MISSING = object()
+# Types of scenes.
+_SCENES = mi.Scene, InstancedScene
 
 
 class FrozenWithScenes(Frozen):
@@ -31,7 +34,7 @@ class FrozenWithScenes(Frozen):
 
     def __call__(self, *arguments: Any) -> Any:
         with collector_paused():
-            given = tuple(self._known(each) if type(each) is mi.Scene else each for each in arguments)
+            given = tuple(self._known(each) if type(each) in _SCENES else each for each in arguments)
             try:
                 result = self.replayed(given)
             except RuntimeError:
@@ -58,9 +61,14 @@ class _Scene(Passed):
         self._held: list[int] = []
         self.flat: tuple[Any, ...] = ()
 
+    def _parts(self) -> list[Any]:
+        """What holds the scene's arrays."""
+        own = list(self.value.arrays.values()) if isinstance(self.value, InstancedScene) else []
+        return [of_mitsuba(self.value), *own]
+
     def follow(self) -> None:
         """Looks for the arrays again if one of the scene's has been replaced since the last time."""
-        indices = _indices([self.value])
+        indices = array_indices(self._parts())
         if indices != self._indices:
             self._indices = indices
             self.renewed()
@@ -68,7 +76,7 @@ class _Scene(Passed):
     def renewed(self) -> bool:
         """Looks for the arrays again; whether there are others."""
         # A recording has the functions of all objects in memory in it, and reads the arrays of all.
-        found = _indices([self.value, *_registered_objects()])
+        found = array_indices([*self._parts(), *_registered_objects()])
         of_all = [index for index in dict.fromkeys(found) if index]
         if of_all == self._held:
             return False
@@ -79,12 +87,6 @@ class _Scene(Passed):
         constants = repr([array.index for array in held if array.state != dr.VarState.Evaluated])
         self._held, self.flat = of_all, (_Scene, self, constants, *held)
         return True
-
-
-def _indices(objects: list[Any]) -> list[int]:
-    """Numbers of the arrays of Mitsuba's objects, each as often as they refer to it; 0 of empty ones."""
-    with dr.scoped_set_flag(dr.JitFlag.EnableObjectTraversal, True):
-        return dr.detail.collect_indices(objects)
 
 
 def _registered_objects() -> list[Any]:

@@ -18,6 +18,7 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
+from pathtrace.scene.instances import InstancedScene, registered
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions, opaque_camera, ray_through
@@ -28,7 +29,6 @@ from pathtrace.trace.first_hit import (
     auxiliary_hits,
     first_hits,
     has_clear_surfaces,
-    registered,
 )
 from pathtrace.trace.frozen import FrozenWithScenes
 from pathtrace.trace.sampling import Batch, SampleCounts, Sequences, joined_channels, mixed_seeds
@@ -95,8 +95,8 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
-    Where thin glass lets shadow rays pass, or indirect light is bounded, paths of the same kind that do not
-    end in a cache stand in for it.
+    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, paths of the
+    same kind that do not end in a cache stand in for it.
 
     Args:
         scene: the scene.
@@ -126,8 +126,9 @@ class Tracer:
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
         shadow_rays = _SHADOW_RAYS if self._relit else 1
-        if scene.thin_glass or most_indirect is not None:
-            # Mitsuba's `path` has no shadow rays that pass glass, and no bound.
+        repeats = isinstance(scene.mitsuba, InstancedScene)
+        if scene.thin_glass or repeats or most_indirect is not None:
+            # Mitsuba's `path` has no shadow rays that pass glass, no bound, and code for each instance.
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
         self._settings = PathSettings(depth, roulette, shadow_rays, scene.thin_glass, most_indirect)
