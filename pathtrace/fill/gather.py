@@ -302,7 +302,7 @@ def irradiance_over_time(
     for number, time in enumerate(times):
         scene.set_time(time)
         now = points(time)
-        rounds = [gather_direct(scene.mitsuba, now, seed + n)[0] for n in range(_ROUNDS)]
+        rounds = [gather_direct(scene.traced, now, seed + n)[0] for n in range(_ROUNDS)]
         found[number] = indirect + np.mean(rounds, axis=0).T
         if len(moving) and number in some:
             arriving.append(_indirect(scene, cache, now.take(moving), seed))
@@ -317,7 +317,7 @@ def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -
     """(3, N) irradiance that arrives over other surfaces, whose own irradiance is that of the cache."""
     rng = np.random.default_rng(seed)
     start = np.repeat(np.arange(len(points)), _RAYS)
-    seen = gather_seen(scene.mitsuba, points, start, rng.random((len(start), 2), dtype=np.float32), seed)
+    seen = gather_seen(scene.traced, points, start, rng.random((len(start), 2), dtype=np.float32), seed)
     position, normal = mi.Point3f(seen.hits.position.T), mi.Vector3f(seen.hits.normal.T)
     how = mi.Float(_ANY_AREA), mi.UInt32(len(cache.irradiance)), mi.Point2f(0.5), mi.Bool(seen.valid)
     _, irradiance = look_up(cache.arrays(scene.mitsuba).irradiance, position, normal, *how)

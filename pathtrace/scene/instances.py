@@ -6,7 +6,7 @@ a thousand. Mitsuba 3.10 looks up where an instance is instead, and so do kernel
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import drjit as dr
@@ -17,26 +17,32 @@ from numpy.typing import NDArray
 from compose.base.arrays import uploaded
 
 _INSTANCE, _GROUP = "Instance", "ShapeGroupPlugin"
-_Numbers = NDArray[np.uint32]
+_LEAST = 1e-30
 
 
-class _Parts(mi.TraversalCallback):  # type: ignore[misc]
+def _parts(whole: Any) -> list[Any]:
     """The objects that a Mitsuba object consists of, in their order."""
+    found: list[Any] = []
 
-    def __init__(self, whole: Any):
-        super().__init__()
-        self.found: list[Any] = []
-        whole.traverse(self)
+    # Mitsuba has no classes before its variant is chosen.
+    class Callback(mi.TraversalCallback):  # type: ignore[misc]
+        def put(self, name: str, value: Any, *flags: Any) -> None:
+            if isinstance(value, mi.Object):
+                found.append(value)
 
-    def put(self, name: str, value: Any, *flags: Any) -> None:
-        """Mitsuba calls it for each part and each parameter."""
-        if isinstance(value, mi.Object):
-            self.found.append(value)
+    whole.traverse(Callback())
+    parts = found.copy()
+    # A class waits for the garbage collector, which must not be what frees a scene.
+    found.clear()
+    return parts
 
 
-def groups_of(scene: Any) -> list[list[Any]]:
-    """The shapes of each group of a Mitsuba scene, in their order."""
-    return [_Parts(part).found for part in _Parts(scene).found if part.class_name() == _GROUP]
+def _groups(scene: Any) -> list[Any]:
+    return [part for part in _parts(scene) if part.class_name() == _GROUP]
+
+
+def _instances(scene: Any) -> list[Any]:
+    return [shape for shape in scene.shapes() if shape.class_name() == _INSTANCE]
 
 
 def seen_shapes(scene: Any) -> list[Any]:
@@ -44,19 +50,13 @@ def seen_shapes(scene: Any) -> list[Any]:
     own = [shape for shape in scene.shapes() if shape.class_name() != _INSTANCE]
     if len(own) == len(scene.shapes()):
         return own
-    return own + [shape for group in groups_of(of_mitsuba(scene)) for shape in group]
+    return own + [shape for group in _groups(scene) for shape in _parts(group)]
 
 
 def array_indices(objects: list[Any]) -> list[int]:
     """Numbers of the arrays of Mitsuba's objects, each as often as they refer to it; 0 of empty ones."""
     with dr.scoped_set_flag(dr.JitFlag.EnableObjectTraversal, True):
         return list(dr.detail.collect_indices(objects))
-
-
-def traceable(scene: Any) -> Any:
-    """A Mitsuba scene; or, if it has instances, what stands in for it."""
-    instances = [shape for shape in scene.shapes() if shape.class_name() == _INSTANCE]
-    return InstancedScene(scene, instances) if instances else scene
 
 
 def of_mitsuba(scene: Any) -> Any:
@@ -72,16 +72,21 @@ class InstancedScene:
         arrays: those that kernels look up what is hit in.
     """
 
-    def __init__(self, scene: Any, instances: list[Any]):
-        self.whole, self._instances = scene, instances
+    def __init__(self, scene: Any):
+        self.whole, self._instances = scene, _instances(scene)
         # Each has a BSDF that nothing shows, but that kernels would have.
         unseen = mi.load_dict({"type": "diffuse"})
-        for instance in instances:
+        for instance in self._instances:
             instance.set_bsdf(unseen)
-        groups, group_of = _groups_of(scene, instances)
+        groups, group_of = _groups_of(scene, self._instances)
         self._repeated = [groups[number] for number in group_of]
         self._targets = seen_shapes(scene)
         self.arrays = self._tables(groups, group_of)
+
+    @staticmethod
+    def of(scene: Any) -> InstancedScene | None:
+        """What stands in for a Mitsuba scene; None if it has no instances, or nothing in them."""
+        return InstancedScene(scene) if _instances(scene) and seen_shapes(scene) else None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.whole, name)
@@ -91,6 +96,19 @@ class InstancedScene:
         """Number of triangles as they are seen: those of groups once for each instance."""
         own = [shape for shape in self.whole.shapes() if shape.class_name() != _INSTANCE]
         return sum(shape.face_count() for part in (own, *self._repeated) for shape in part if shape.is_mesh())
+
+    @property
+    def parts(self) -> list[Any]:
+        """What holds the arrays that may be replaced by others, and that kernels read."""
+        return [*self._targets, *self.whole.emitters(), *self.arrays.values()]
+
+    def read(self, arrays: Iterable[int], objects: list[Any]) -> list[int]:
+        """Which of the arrays of the scene, and of all objects in memory, kernels read; and its own."""
+        unseen, seen = list[Any](), list[Any]()
+        for each in objects:
+            (unseen if each.class_name() in (_INSTANCE, _GROUP) else seen).append(each)
+        unread = set(array_indices(unseen)) - set(array_indices(seen))
+        return [*(index for index in arrays if index not in unread), *array_indices(self.parts)]
 
     def _tables(self, groups: list[list[Any]], group_of: list[int]) -> dict[str, Any]:
         """Arrays by name: of each registered shape, and of what groups consist of.
@@ -130,9 +148,10 @@ class InstancedScene:
         self.arrays["matrices"] = uploaded(mi.Float, self._matrices())
 
     def ray_intersect(
-        self, ray: Any, ray_flags: int = mi.RayFlags.All, coherent: bool = False, active: Any = True
+        self, ray: Any, ray_flags: int | None = None, coherent: bool = False, active: Any = True
     ) -> Any:
         """What Mitsuba's function of this name returns."""
+        ray_flags = mi.RayFlags.All if ray_flags is None else ray_flags
         found = self.whole.ray_intersect_preliminary(ray, coherent, active)
         active = mi.Bool(active) & found.is_valid()
         shape, instance = (dr.reinterpret_array(mi.UInt32, each) for each in (found.shape, found.instance))
@@ -169,14 +188,14 @@ class InstancedScene:
 
 def _groups_of(scene: Any, instances: list[Any]) -> tuple[list[list[Any]], list[int]]:
     """Shapes of each group, and the number of each instance's group."""
-    parts = [part for part in _Parts(scene).found if part.class_name() == _GROUP]
+    parts = _groups(scene)
     # Mitsuba does not tell the group of an instance, but the arrays of all that an instance refers to.
     held = [frozenset(array_indices([part])) for part in parts]
     group_of = []
     for instance in instances:
         arrays = frozenset(array_indices([instance]))
         group_of.append(next(number for number, own in enumerate(held) if own <= arrays))
-    return [_Parts(part).found for part in parts], group_of
+    return [_parts(part) for part in parts], group_of
 
 
 def registered(shape: Any) -> int:
@@ -211,10 +230,10 @@ def _place(hit: Any, to_world: list[Any], to_object: list[Any]) -> None:
     # The inverse, transposed: normals stay upright on what is stretched.
     upright = [mi.Vector3f(x[n], y[n], z[n]) for n in range(3)]
     lean = lambda vector: mi.Normal3f(*(dr.dot(column, mi.Vector3f(vector)) for column in upright))  # noqa: E731
-    shading = lean(hit.sh_frame.n)
-    length = dr.norm(shading)
-    hit.p, hit.n = _moved(to_world, hit.p), dr.normalize(lean(hit.n))
-    hit.sh_frame.n = shading / length
+    shading, normal = lean(hit.sh_frame.n), lean(hit.n)
+    # Both are 0 where nothing is hit.
+    length, other = (dr.maximum(dr.norm(each), _LEAST) for each in (shading, normal))
+    hit.p, hit.n, hit.sh_frame.n = _moved(to_world, hit.p), normal / other, shading / length
     hit.dp_du, hit.dp_dv = _turned(to_world, hit.dp_du), _turned(to_world, hit.dp_dv)
     for name in ("dn_du", "dn_dv"):
         change = lean(getattr(hit, name)) / length

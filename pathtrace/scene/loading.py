@@ -356,4 +356,4 @@ def _is_ordinary(loaded: Any, camera: Camera) -> bool:
 
 
 def _distance(loaded: Any, camera: Camera) -> float:
-    return Surfaces(SimpleNamespace(mitsuba=loaded)).median_distance(camera)
+    return Surfaces(SimpleNamespace(mitsuba=loaded, traced=loaded)).median_distance(camera)

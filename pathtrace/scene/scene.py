@@ -16,7 +16,7 @@ import numpy as np
 from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
-from pathtrace.scene.instances import InstancedScene, traceable
+from pathtrace.scene.instances import InstancedScene
 from pathtrace.scene.loading import (
     Source,
     camera_of_sensor,
@@ -107,8 +107,7 @@ class Scene:
         hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
             is not the scene's own, since images at another depth show other light, and of its coordinates if
             these are not the world's, and of thin glass.
-        mitsuba: the Mitsuba scene, in the scene's coordinates; of one with instances, what stands in for it
-            (pathtrace.scene.instances).
+        mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else `own_depth`.
         own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most.
@@ -120,6 +119,7 @@ class Scene:
             noisier are samples.
         plan: what is planned for it, by name; empty if nothing is. Frames take it down.
         keeps_depth: whether its path depth was asked for, so that no plan changes it.
+        instanced: finds what rays hit in a Mitsuba scene with instances; None if it has none.
     """
 
     name: str
@@ -135,8 +135,14 @@ class Scene:
     roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
     plan: Mapping[str, Any] = field(default_factory=dict)
     keeps_depth: bool = False
+    instanced: InstancedScene | None = None
     # Found once, for all scenes that differ in their plan or depth only.
     _surfaces: list[Surfaces] = field(default_factory=list, repr=False, compare=False)
+
+    @property
+    def traced(self) -> Any:
+        """What kernels trace rays through: the Mitsuba scene, or what stands in for it."""
+        return self.mitsuba if self.instanced is None else self.instanced
 
     def surfaces(self) -> Surfaces:
         """Its surfaces as they are now."""
@@ -171,8 +177,8 @@ class Scene:
     @property
     def triangles(self) -> int:
         """Number of triangles of all meshes, of each instance of one; analytic shapes have none."""
-        if isinstance(self.mitsuba, InstancedScene):
-            return self.mitsuba.triangles
+        if self.instanced is not None:
+            return self.instanced.triangles
         return sum(shape.face_count() for shape in self.mitsuba.shapes() if shape.is_mesh())
 
 
@@ -242,12 +248,13 @@ def _loaded(
             raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
         fingerprint = text_fingerprint(f"{fingerprint} with thin glass")
     ordered, names = with_ordered_shapes(loaded)
-    ordered = traceable(ordered)
+    instanced = InstancedScene.of(ordered)
     moving = None
     if moves is not None:
-        moving = MovingScene(ordered, moves, names, place, name)
+        moving = MovingScene(instanced or ordered, moves, names, place, name)
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
+    scene = replace(scene, instanced=instanced)
     return scene if max_depth is None else replace(scene.at_depth(max_depth), keeps_depth=True)
 
 

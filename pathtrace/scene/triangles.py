@@ -65,9 +65,9 @@ def _grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
 class Surfaces:
     """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
-    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, as
-    `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with instances, curves or
-    other shapes that are not, rays are traced by Mitsuba.
+    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, and what rays are traced
+    through, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with instances,
+    curves or other shapes that are not, rays are traced by Mitsuba.
     """
 
     def __init__(self, scene: Any):
@@ -77,7 +77,7 @@ class Surfaces:
         for shape in scene.mitsuba.shapes():
             part = triangles_of(shape)
             if part is None:
-                self._mitsuba, box = scene.mitsuba, scene.mitsuba.bbox()
+                self._mitsuba, box = scene.traced, scene.mitsuba.bbox()
                 self.bounds = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
                 return
             parts.append(part)

@@ -17,8 +17,6 @@ _REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "
 # More objects than there are, and what stands for one that there is not.
 _NO_NUMBER = 1 << 30
 _MISSING = object()
-# Types of scenes.
-_SCENES = mi.Scene, InstancedScene
 
 
 class FrozenWithScenes(Frozen):
@@ -34,7 +32,8 @@ class FrozenWithScenes(Frozen):
 
     def __call__(self, *arguments: Any) -> Any:
         with collector_paused():
-            given = tuple(self._known(each) if type(each) in _SCENES else each for each in arguments)
+            scenes = mi.Scene, InstancedScene
+            given = tuple(self._known(each) if type(each) in scenes else each for each in arguments)
             try:
                 result = self.replayed(given)
             except RuntimeError:
@@ -61,14 +60,10 @@ class _Scene(Passed):
         self._held: list[int] = []
         self.flat: tuple[Any, ...] = ()
 
-    def _parts(self) -> list[Any]:
-        """What holds the scene's arrays."""
-        own = list(self.value.arrays.values()) if isinstance(self.value, InstancedScene) else []
-        return [of_mitsuba(self.value), *own]
-
     def follow(self) -> None:
         """Looks for the arrays again if one of the scene's has been replaced since the last time."""
-        indices = array_indices(self._parts())
+        scene = self.value
+        indices = array_indices(scene.parts if isinstance(scene, InstancedScene) else [scene])
         if indices != self._indices:
             self._indices = indices
             self.renewed()
@@ -76,8 +71,11 @@ class _Scene(Passed):
     def renewed(self) -> bool:
         """Looks for the arrays again; whether there are others."""
         # A recording has the functions of all objects in memory in it, and reads the arrays of all.
-        found = array_indices([*self._parts(), *_registered_objects()])
-        of_all = [index for index in dict.fromkeys(found) if index]
+        objects, scene = _registered_objects(), self.value
+        found = dict.fromkeys(array_indices([of_mitsuba(scene), *objects]))
+        if isinstance(scene, InstancedScene):
+            found = dict.fromkeys(scene.read(found, objects))
+        of_all = [index for index in found if index]
         if of_all == self._held:
             return False
         # What is held keeps its number: none that is freed meanwhile can be taken for it.

@@ -18,7 +18,7 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
-from pathtrace.scene.instances import InstancedScene, registered
+from pathtrace.scene.instances import registered
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions, opaque_camera, ray_through
@@ -95,8 +95,8 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
-    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, paths of the
-    same kind that do not end in a cache stand in for it.
+    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, paths of
+    the same kind that do not end in a cache stand in for it.
 
     Args:
         scene: the scene.
@@ -126,8 +126,7 @@ class Tracer:
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
         shadow_rays = _SHADOW_RAYS if self._relit else 1
-        repeats = isinstance(scene.mitsuba, InstancedScene)
-        if scene.thin_glass or repeats or most_indirect is not None:
+        if scene.thin_glass or scene.instanced or most_indirect is not None:
             # Mitsuba's `path` has no shadow rays that pass glass, no bound, and code for each instance.
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
@@ -213,7 +212,7 @@ class Tracer:
         ray = ray_through(
             opaque_camera(camera), positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
         )
-        found = first_hits(self.scene.mitsuba, ray, mi.Bool(True))
+        found = first_hits(self.scene.traced, ray, mi.Bool(True))
         distance = dr.select(found.surface.is_valid(), found.surface.t, dr.inf)
         shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
         # What is seen in curved mirrors, or refracted as in the edge of a pane, moves with the viewer: it is
@@ -254,7 +253,7 @@ class Tracer:
         """Albedo, normal, position, gloss and, where something moves, mover of a batch."""
         sums, first = list[Any](), list[Any]()
         for share in batch.passes(_MAX_LANES):
-            features = self._trace_auxiliary(self.scene.mitsuba, *share.rays())
+            features = self._trace_auxiliary(self.scene.traced, *share.rays())
             dr.eval(features)
             sums = _added(sums, share.lanes.sums([*features.albedo, *features.normal]), first)
             first = first or [
@@ -273,11 +272,11 @@ class Tracer:
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = mixed_seeds(seeds)
         if self._known is None:
-            channels = self._trace_radiance(features, self.scene.mitsuba, state, *batch.rays())
+            channels = self._trace_radiance(features, self.scene.traced, state, *batch.rays())
         else:
             # Unbiased paths only need the film positions of it.
             sampled = batch.sequences, *batch.rays(batch.sequences)
-            channels = self._trace_radiance(features, self.scene.mitsuba, state, self._known, *sampled)
+            channels = self._trace_radiance(features, self.scene.traced, state, self._known, *sampled)
         dr.eval(channels)
         radiance, means, first = channels[:3], channels[3:9], channels[9:]
         lanes = batch.lanes
