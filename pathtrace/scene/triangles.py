@@ -66,8 +66,8 @@ class Surfaces:
     """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
     Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, and what rays are traced
-    through, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with instances,
-    curves or other shapes that are not, rays are traced by Mitsuba.
+    through, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with
+    instances, curves or other shapes that are not, rays are traced by Mitsuba.
     """
 
     def __init__(self, scene: Any):
@@ -92,6 +92,9 @@ class Surfaces:
 
         It is inf where there is none.
         """
+        if not len(origins):
+            # Of no rays, Dr.Jit aborts the process.
+            return np.zeros(0)
         if self._mitsuba is not None:
             found = self._mitsuba.ray_intersect_preliminary(_mitsuba_rays(origins, directions))
             return np.array(found.t, np.float64)
@@ -99,6 +102,8 @@ class Surfaces:
 
     def hits(self, origins: Array, directions: Array) -> tuple[Array, Array]:
         """`distance`, and the surfaces' unit normals (N, 3), which face the rays; 0 where there is none."""
+        if not len(origins):
+            return np.zeros(0), np.zeros((0, 3))
         if self._mitsuba is not None:
             seen = self._mitsuba.ray_intersect(_mitsuba_rays(origins, directions))
             # In one kernel: each would trace all rays.
