@@ -70,7 +70,8 @@ class References:
 
     These are names of files in the order of the XML, parameters replaced, which may not exist, with the
     folder of the XML that names them; folders of `<path>`, in which Mitsuba looks for them besides that and
-    the scene's; and types of all elements.
+    the scene's; types of all elements; and the path depth that the last integrator asks for, if any, and
+    whether one of them hides lights. Of the scene's own integrators, nothing else is taken.
 
     They are found from the scene's XML file and the elements of that. UserError if an included file is not
     well-formed, includes form a loop or are too many, or parameters stand for too much text.
@@ -81,6 +82,8 @@ class References:
         self.names: list[tuple[str, Path]] = []
         self.folders: list[Path] = []
         self.plugins: set[str] = set()
+        self.max_depth: str | None = None
+        self.hides_emitters = False
         self._parameters: dict[str, str] = {}
         self._includes = 0
         self._collect(root, source.parent, 0)
@@ -97,8 +100,13 @@ class References:
 
     def _collect(self, root: ET.Element, folder: Path, depth: int) -> None:
         """Walks through a file in the order of its elements, in which parameters are defined."""
+        of_integrators = {part for one in root.findall("integrator") for part in one.iter()}
         for element in root.iter():
             values = {self._replaced(key): self._replaced(value) for key, value in element.items()}
+            if element in of_integrators:
+                self._ask(element.tag, values)
+                if not depth:
+                    continue
             self.plugins.update({values["type"]} if "type" in values else ())
             value = values.get("value", "")
             if element.tag == "default":
@@ -112,6 +120,14 @@ class References:
                 self.names.append((value, folder))
             elif "filename" in values:
                 self.names.append((values["filename"], folder))
+
+    def _ask(self, tag: str, values: dict[str, str]) -> None:
+        """Takes down what a part of an integrator asks for."""
+        name, value = values.get("name"), values.get("value", "").strip()
+        if tag == "integer" and name == "max_depth":
+            self.max_depth = value
+        elif tag == "boolean" and name == "hide_emitters":
+            self.hides_emitters |= value.lower() == "true"
 
     def _include(self, name: str, folder: Path, depth: int) -> None:
         self._includes += 1
@@ -240,12 +256,9 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
     """
     content = _content(path) if text is None else text.encode()
     root = parse_xml(path, content)
-    depth = _max_depth(root)
-    flags = root.findall("integrator//boolean[@name='hide_emitters']")
-    hides = any((flag.get("value") or "").strip().lower() == "true" for flag in flags)
-    for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
-        root.remove(element)
     references = References(path, root)
+    for element in root.findall("integrator"):
+        root.remove(element)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(content, root, references)
     # Mitsuba would look for them from the working folder.
@@ -253,20 +266,13 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
         if (found := path.parent / element.get("value", "")).is_dir():
             element.set("value", str(found))
     balance_xml(root)
-    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth, hides)
+    found = ET.tostring(root, encoding="unicode"), fingerprint, _depth(references.max_depth)
+    return SceneDescription(*found, references.hides_emitters)
 
 
-def _max_depth(root: ET.Element) -> int:
-    """Path depth of the scene's integrator, with `$` parameters replaced by their defaults."""
-    defaults = {element.get("name"): element.get("value") for element in root.iter("default")}
-    depth = DEFAULT_MAX_DEPTH
-    for integrator in root.findall("integrator"):
-        found = integrator.find(".//integer[@name='max_depth']")
-        value = None if found is None else found.get("value")
-        if value and value.startswith("$"):
-            value = defaults.get(value[1:])
-        # Longer numbers are beyond the limit as well.
-        if value and re.fullmatch(r"-?\d{1,9}", value.strip()):
-            # -1 is Mitsuba's "no limit".
-            depth = min(int(value), DEFAULT_MAX_DEPTH) if int(value) > 0 else DEFAULT_MAX_DEPTH
-    return depth
+def _depth(asked: str | None) -> int:
+    """Path depth of an integrator that asks for one; -1 is Mitsuba's "no limit"."""
+    # Longer numbers are beyond the limit as well.
+    if asked and re.fullmatch(r"-?\d{1,9}", asked) and int(asked) > 0:
+        return min(int(asked), DEFAULT_MAX_DEPTH)
+    return DEFAULT_MAX_DEPTH
