@@ -21,7 +21,7 @@ from pathtrace.scene.loading import (
     Source,
     camera_of_sensor,
     in_good_coordinates,
-    load_mitsuba,
+    load_whole_parts,
     perspective_sensor,
 )
 from pathtrace.scene.motion_file import read_motion
@@ -232,11 +232,12 @@ def _loaded(
         motion = beside if motion is None and not is_text and beside.is_file() else motion
     moves = None if motion is None else read_motion(motion)
     apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
-    loaded = load_mitsuba(content, apart)
+    loaded, content, degenerate = load_whole_parts(content, apart)
     sensor = perspective_sensor(loaded, content.name)
     if not loaded.emitters():
         raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
-    for remark in _left_out(loaded, sensor, hides):
+    remarks = [f"{wrong}; it is left out" for wrong in degenerate]
+    for remark in (*remarks, *_left_out(loaded, sensor, hides)):
         _say(f"{content.name}: {remark}")
     camera = camera_of_sensor(sensor, content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera, apart)

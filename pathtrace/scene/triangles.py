@@ -11,6 +11,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
 
 _SPHERE_RINGS = 24
@@ -22,11 +23,16 @@ _CLEARANCE_DIRECTIONS, _DIRECTIONS = 256, 96
 
 
 def triangles_of(shape: Any) -> Array | None:
-    """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported."""
+    """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported.
+
+    UserError if a face has a vertex that the shape does not have, about which Mitsuba does not care.
+    """
     parameters = mi.traverse(shape)
     if "vertex_positions" in parameters:
         vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
         faces = np.array(parameters["faces"]).reshape(-1, 3)
+        if len(faces) and faces.max() >= len(vertices):
+            raise UserError(f"a mesh has {len(vertices)} vertices, and a face with number {faces.max()}")
         return vertices[faces].astype(np.float64)
     unit = _unit_shape(shape.class_name())
     if unit is None or "to_world" not in parameters:

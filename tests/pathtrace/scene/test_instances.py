@@ -40,7 +40,8 @@ def instance(number: int, to_world: Any) -> dict[str, Any]:
 
 def around() -> dict[str, Any]:
     """A camera that looks at a wall under the sky."""
-    wall = {"type": "rectangle", "to_world": placed(("translate", [0, 0, 2]), ("scale", 4)), "bsdf": GREY}
+    facing = placed(("translate", [0, 0, 2]), ("rotate", ([0, 1, 0], 180)), ("scale", 4))
+    wall = {"type": "rectangle", "to_world": facing, "bsdf": GREY}
     light = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
     return {"type": "scene", "sensor": small.sensor(), "wall": wall, "light": light}
 
