@@ -1,4 +1,4 @@
-"""Writes scenes of instances: a thicket of 1,143 small plants, and a meadow of 12 million triangles.
+"""Writes scenes of instances: a thicket of 1,143 small plants, and a plantation of 12 million triangles.
 
     python -m benchmarks.instanced_scenes FOLDER
 
@@ -33,7 +33,8 @@ def write_instanced(folder: Path, instances: int, triangles: int) -> None:
     """
     rng = np.random.default_rng(_SEED)
     scene = SceneWriter(folder, (0.0, -1.5, 1.7), (0.0, 6.0, 1.3), 60)
-    scene.add('<emitter type="sunsky"><vector name="sun_direction" value=".5 -.4 .6"/></emitter>')
+    scales = "".join(f'<float name="{name}_scale" value="4"/>' for name in ("sun", "sky"))
+    scene.add(f'<emitter type="sunsky"><vector name="sun_direction" value=".5 -.4 .6"/>{scales}</emitter>')
     x, y = np.meshgrid(np.linspace(-60, 60, 120), np.linspace(-20, 100, 120))
     scene.mesh(grid(np.stack([x, y, 0 * x], -1)), diffuse((0.2, 0.17, 0.1)))
     for number, green in enumerate(_GREENS):
@@ -79,7 +80,7 @@ def _places(rng: np.random.Generator, count: int) -> Iterator[tuple[float, float
         yield _WIDE * ((column + shift[0]) / columns - 0.5), 1.5 + _DEEP * (row + shift[1]) / rows
 
 
-SCENES = {"thicket": (1143, 3_000), "meadow": (120, 100_000)}
+SCENES = {"thicket": (1143, 3_000), "plantation": (120, 100_000)}
 
 
 def main() -> None:
