@@ -55,8 +55,9 @@ def messages_as_lines() -> Iterator[None]:
         log.setLevel(level)
 
 
-# Between two lines where no bar can be drawn, in seconds.
+# Between two lines where no bar can be drawn, in seconds; and when the last one was written, for any job.
 _LINE_EVERY = 10.0
+_last = time.perf_counter()
 
 
 @contextmanager
@@ -92,8 +93,10 @@ def _lines(title: str) -> Iterator[Bar]:
         shown = done, total, step
 
     def write() -> None:
-        while not is_over.wait(_LINE_EVERY):
-            console.print(_line(title, *shown, time.perf_counter() - start), soft_wrap=True, markup=False)
+        global _last
+        while not is_over.wait(max(0.0, _last + _LINE_EVERY - time.perf_counter())):
+            _last = time.perf_counter()
+            console.print(_line(title, *shown, _last - start), soft_wrap=True, markup=False)
 
     writer = threading.Thread(target=write, daemon=True)
     writer.start()
