@@ -43,11 +43,11 @@ def write_instanced(folder: Path, instances: int, triangles: int) -> None:
         scene.mesh(wood, diffuse(_BARK))
         scene.mesh(crown, diffuse(green))
         scene.add("</shape>")
-    for number, (x, y) in enumerate(_places(rng, instances)):
+    for number, (across, ahead) in enumerate(_places(rng, instances)):
         scene.add(
             f'<shape type="instance"><ref id="plant-{number % len(_GREENS)}"/><transform name="to_world">'
             f'<scale value="{rng.uniform(0.6, 1.3):.4f}"/><rotate z="1" angle="{rng.uniform(0, 360):.2f}"/>'
-            f'<translate x="{x:.3f}" y="{y:.3f}"/></transform></shape>'
+            f'<translate x="{across:.3f}" y="{ahead:.3f}"/></transform></shape>'
         )
     scene.close()
 

@@ -39,12 +39,30 @@ def degenerate_meshes(state: Any) -> dict[int, str]:
 
 
 def without(state: Any, numbers: Collection[int]) -> None:
-    """Takes nodes out of a parsed scene."""
-    reference = mi.Properties.Type.ResolvedReference
-    for node in state.nodes:
-        for name in list(node.props.keys()):
-            if node.props.type(name) == reference and node.props[name].index() in numbers:
+    """Takes nodes out of a parsed scene, and instances of groups in which nothing is left."""
+    # With an empty group in memory, Dr.Jit refuses to record kernels of any scene.
+    left_out, kinds = set(numbers), mi.Properties.Type
+    parts = [_of_kind(node.props, kinds.ResolvedReference) for node in state.nodes]
+    held = [{part.index() for part in found.values()} for found in parts]
+    empty = {n for n, node in enumerate(state.nodes) if _is(node, "shapegroup") and held[n] <= left_out}
+    ids = {state.nodes[number].props.id() for number in empty}
+    for number, node in enumerate(state.nodes):
+        named = {part.id() for part in _of_kind(node.props, kinds.Reference).values()}
+        if _is(node, "instance") and (named & ids or held[number] & empty):
+            left_out.add(number)
+    for node, found in zip(state.nodes, parts, strict=True):
+        for name, part in found.items():
+            if part.index() in left_out | empty:
                 del node.props[name]
+
+
+def _is(node: Any, plugin: str) -> bool:
+    return bool(node.props.plugin_name() == plugin)
+
+
+def _of_kind(properties: Any, kind: Any) -> dict[str, Any]:
+    """Properties of a type, by name."""
+    return {name: properties[name] for name in list(properties.keys()) if properties.type(name) == kind}
 
 
 def _wrong(properties: Any, file: Path) -> str | None:

@@ -243,7 +243,8 @@ def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], Non
 
     def load() -> Any:
         state = _state(configuration, source)
-        without(state, source.left_out)
+        if source.left_out:
+            without(state, source.left_out)
         changed(state)
         _simplify(configuration, state, apart)
         loaded = mi.parser.instantiate(configuration, state)

@@ -247,14 +247,14 @@ class SceneDescription:
     hides_emitters: bool
 
 
-def read_description(path: Path, text: str | None = None) -> SceneDescription:
+def read_description(path: Path, given: str | None = None) -> SceneDescription:
     """Reads a scene's XML file, or a text that is to lie there, and removes its integrator.
 
     Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
     author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
     memory, or would load native code that is not Mitsuba's.
     """
-    content = _content(path) if text is None else text.encode()
+    content = _content(path) if given is None else given.encode()
     root = parse_xml(path, content)
     references = References(path, root)
     for element in root.findall("integrator"):
@@ -266,8 +266,8 @@ def read_description(path: Path, text: str | None = None) -> SceneDescription:
         if (found := path.parent / element.get("value", "")).is_dir():
             element.set("value", str(found))
     balance_xml(root)
-    found = ET.tostring(root, encoding="unicode"), fingerprint, _depth(references.max_depth)
-    return SceneDescription(*found, references.hides_emitters)
+    text, depth = ET.tostring(root, encoding="unicode"), _depth(references.max_depth)
+    return SceneDescription(text, fingerprint, depth, references.hides_emitters)
 
 
 def _depth(asked: str | None) -> int:
