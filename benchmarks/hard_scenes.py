@@ -90,7 +90,7 @@ def rough_metal(alpha: float) -> str:
     return f'<bsdf type="twosided"><bsdf type="roughconductor">{inside}</bsdf></bsdf>'
 
 
-def _leaves(rng: np.random.Generator, centres: Points, size: float) -> Mesh:
+def leaves(rng: np.random.Generator, centres: Points, size: float) -> Mesh:
     """A diamond of two triangles about each centre, turned at random."""
     count = len(centres)
     along = rng.normal(size=(count, 3))
@@ -133,12 +133,12 @@ def write_grove(folder: Path) -> None:
             end = start + reach / np.linalg.norm(reach) * rng.uniform(0.6, 1.8)
             trunks.append(tube([start, (start + end) / 2 + [0, 0, 0.1], end], [0.05, 0.01], 8, 6))
             centres = end + rng.normal(size=(1600, 3)) * 0.32
-            crowns[number % len(greens)].append(_leaves(rng, centres, 0.05))
+            crowns[number % len(greens)].append(leaves(rng, centres, 0.05))
     scene.mesh(merge(trunks), diffuse((0.25, 0.17, 0.11)))
     for green, crown in zip(greens, crowns, strict=True):
         scene.mesh(merge(crown), diffuse(green))
     blades = np.stack([rng.uniform(-10, 10, 60_000), rng.uniform(-8, 12, 60_000), np.full(60_000, 0.1)], -1)
-    scene.mesh(_leaves(rng, blades, 0.09), diffuse((0.18, 0.33, 0.07)))
+    scene.mesh(leaves(rng, blades, 0.09), diffuse((0.18, 0.33, 0.07)))
     scene.close()
 
 

@@ -129,7 +129,7 @@ def _key(value: Any, by_size: bool) -> Any:
         return tuple([_key(part, False) for part in value.values()])
     if isinstance(value, dr.ArrayBase):
         return dr.width(value) if by_size else None
-    return (kind, value) if kind in _PLAIN else id(value)
+    return (kind, value) if kind in _PLAIN else None
 
 
 @cache

@@ -26,7 +26,7 @@ class Bar(Protocol):
 Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
 
 
-def no_progress(done: int, total: int, label: str = "") -> None:
+def no_progress(done: int, total: int, step: str = "") -> None:
     """Ignores progress."""
 
 

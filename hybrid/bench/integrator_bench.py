@@ -158,7 +158,7 @@ def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
     """
     positions = frame_positions(camera)
     ray = ray_through(opaque_camera(camera), positions.x + 0.5, positions.y + 0.5)
-    hit = first_hits(scene.mitsuba, ray, mi.Bool(True)).last
+    hit = first_hits(scene.traced, ray, mi.Bool(True)).last
     valid = hit.is_valid()
     points = hit.p, mi.Normal3f(dr.select(hit.wi.z > 0, hit.n, -hit.n)), valid
     dr.eval(points)

@@ -6,6 +6,7 @@ Standard output holds results only.
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,8 +55,9 @@ def messages_as_lines() -> Iterator[None]:
         log.setLevel(level)
 
 
-# Between two lines where no bar can be drawn, in seconds.
-_LINE_EVERY = 15.0
+# Between two lines where no bar can be drawn, in seconds; and when the last one was written, for any job.
+_LINE_EVERY = 10.0
+_last = time.perf_counter()
 
 
 @contextmanager
@@ -63,7 +65,8 @@ def progress_bar(title: str) -> Iterator[Bar]:
     """A progress bar for one job, with the elapsed time and the time left; a line now and then in a file."""
     # Colours may be forced into a file, or a terminal know no control sequences: bars need one that does.
     if console.is_dumb_terminal or not console.file.isatty():
-        yield _lines(title)
+        with _lines(title) as lines:
+            yield lines
         return
     columns = (
         TextColumn("{task.description}"),
@@ -80,20 +83,33 @@ def progress_bar(title: str) -> Iterator[Bar]:
         )
 
 
-def _lines(title: str) -> Bar:
-    """Writes a line when some time has passed since the last one."""
-    start = last = time.perf_counter()
+@contextmanager
+def _lines(title: str) -> Iterator[Bar]:
+    """Writes a line after each while, also where a step takes longer."""
+    start, shown, is_over = time.perf_counter(), (0, 0, ""), threading.Event()
 
     def bar(done: int, total: int, step: str = "") -> None:
-        nonlocal last
-        now = time.perf_counter()
-        if now - last < _LINE_EVERY or not done:
-            return
-        last = now
-        left = (now - start) * max(0, total - done) / done
-        job = f"{title} {step}".rstrip()
-        console.print(
-            f"{job}: {done} of {total}, {now - start:.0f} s, about {left:.0f} s left", soft_wrap=True
-        )
+        nonlocal shown
+        shown = done, total, step
 
-    return bar
+    def write() -> None:
+        global _last
+        while not is_over.wait(max(0.0, _last + _LINE_EVERY - time.perf_counter())):
+            _last = time.perf_counter()
+            console.print(_line(title, *shown, _last - start), soft_wrap=True, markup=False)
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    try:
+        yield bar
+    finally:
+        is_over.set()
+        writer.join()
+
+
+def _line(title: str, done: int, total: int, step: str, seconds: float) -> str:
+    """What is being done, how far it is after some seconds, and how many are left if anybody can tell."""
+    parts = [f"{done} of {total}"] * bool(total) + [f"{seconds:.0f} s"]
+    if 0 < done <= total:
+        parts.append(f"about {seconds * (total - done) / done:.0f} s left")
+    return f"{title} {step}".rstrip() + ": " + ", ".join(parts)

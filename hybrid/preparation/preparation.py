@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from compose.base.errors import UserError
+from compose.camera.camera import Camera
 from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
 from hybrid.base.identity import require_scene, short_hash
 from hybrid.base.journal import Journal
@@ -33,7 +35,7 @@ from hybrid.preparation.stage_frames import (
     wanted_of,
 )
 from hybrid.preparation.stage_planner import PROBED, JobClock, Planner
-from hybrid.preparation.stages import PreparationSettings
+from hybrid.preparation.stages import PreparationSettings, Stage
 from hybrid.render.forest_attachments import plan_of_forest, scene_as_trained
 from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
@@ -99,7 +101,9 @@ def prepare(
     folder.mkdir(parents=True, exist_ok=True)
     journal = Journal(folder / "job.json", identity)
     clock = JobClock(journal, start)
-    breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
+    with bars("region") as bar:
+        bar(0, 1, "choosing views")
+        breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
     planner = Planner(settings, journal, clock, planned_needs(scene.plan, settings.region, breadth))
     try:
         return _Job(scene, region, settings, bars, folder, planner).run()
@@ -192,7 +196,7 @@ class _Job:
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""
         stages, number = self.planner.stages, self.planner.number
-        views = stage_views(self.region, stages, self.settings.seed)
+        views = self._views(stages)
         if self.planner.is_to_fit:
             with self.bars("first frames (samples)") as bar:
                 wanted = wanted_of(frames, views, stages[0], None)
@@ -201,9 +205,15 @@ class _Job:
                 start = time.perf_counter()
                 frames.grow(wanted[: 1 + PROBED], bar)
             self.planner.fit_first(time.perf_counter() - start)
-            views = stage_views(self.region, stages, self.settings.seed)
+            views = self._views(stages)
         with self.bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
+
+    def _views(self, stages: Sequence[Stage]) -> list[tuple[Camera, int]]:
+        """The views of some stages, with their scales."""
+        with self.bars(f"stage {len(stages)}: choosing views") as bar:
+            bar(0, sum(stage.views for stage in stages))
+            return stage_views(self.region, stages, self.settings.seed)
 
     def _trained(
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +21,7 @@ from pathtrace.trace.tracer import Tracer
 from splat.training.training_view import TrainingView
 
 # Views, the side of their frames in pixels, and samples per pixel.
-_VIEWS, _SIDE, _SPP = 6, 96, 8
+VIEWS, _SIDE, _SPP = 6, 96, 8
 # Views of which frames as large as those to train on are traced, their side, and samples of each half.
 _LARGER, _LARGER_SIDE, HALF_SPP = 3, 256, 4
 # Views nearer together than this, over the distance to what they see, are one point.
@@ -61,17 +62,26 @@ class Look:
         return self.parallax < _ONE_POINT
 
 
-def look_at_scene(scene: Scene, surfaces: Surfaces, region: ViewingRegion, seed: int) -> Look:
+def look_at_scene(
+    scene: Scene,
+    surfaces: Surfaces,
+    region: ViewingRegion,
+    seed: int,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Look:
     """Looks at a scene and its surfaces from a region; afterwards, one that moves shows its first time.
+
+    `progress` is called with the number of views that have been looked from, out of VIEWS.
 
     Raises:
         UserError: there is no free space in the region.
     """
-    cameras = region.views(_VIEWS, _SIDE, _SIDE, seed)
+    cameras = region.views(VIEWS, _SIDE, _SIDE, seed)
     views = [View(camera, view_time(scene, number)) for number, camera in enumerate(cameras)]
     tracer = Tracer(scene)
     radiance, gloss, reflected, halves, larger_views = [], [], [], [], []
     for number, view in enumerate(views):
+        progress(number)
         scene.show(view.time)
         positions = frame_positions(view.camera)
         traced = tracer.trace(view.camera, positions, _SPP, seed + number, features=True)

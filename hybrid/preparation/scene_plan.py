@@ -15,7 +15,7 @@ from compose.base.errors import UserError
 from compose.base.files import json_text, read_json, write_whole
 from compose.eye.display import DISPLAYS, Display
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.progress import Bars, Steps, no_bars, no_progress
+from hybrid.base.progress import Bar, Bars, no_bars, no_progress
 from hybrid.preparation.decisions import (
     DEGREE,
     DENOISED,
@@ -36,7 +36,7 @@ from hybrid.preparation.decisions import (
     sample_decisions,
 )
 from hybrid.preparation.gaussian_count import GAUSSIANS, breadth_of, gaussians_decision
-from hybrid.preparation.scene_look import Look, look_at_scene
+from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region.viewing_regions import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
@@ -46,7 +46,8 @@ from splat.model.gaussians import MAX_DEGREE
 _LOG = logging.getLogger("hybrid")
 MOTION, LIGHT = "motion", "light"
 STILL, MOVING = "still", "moving"
-_PARTS = 3
+# Of a plan: its views, the look at each, and three measurements.
+_PARTS = 1 + VIEWS + 3
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def plan_of(
     size: tuple[int, int],
     region: str = NEAR,
     seed: int = 0,
-    progress: Steps = no_progress,
+    progress: Bar = no_progress,
 ) -> ScenePlan:
     """Looks at a scene and decides what it requires; afterwards, one that moves shows its first time.
 
@@ -85,18 +86,24 @@ def plan_of(
         display, size: what frames are shown on, and their width and height in pixels.
         region: where viewers may be (pathtrace.region).
         seed: same seed, same plan on the same machine.
-        progress: called with parts done and their number.
+        progress: called with parts done, their number, and what comes next.
 
     Raises:
         UserError: the scene's own camera sees no surface, there is no such region, or no free space in it.
     """
     scene.show(0.0)
+    progress(0, _PARTS, "choosing views")
     surfaces = scene.surfaces()
     where = region_of(scene, surfaces, region)
     breadth = breadth_of(where, surfaces, seed)
-    progress(1, _PARTS)
-    look = look_at_scene(scene, surfaces, where, seed)
-    progress(2, _PARTS)
+    tell = lambda done: progress(1 + done, _PARTS, "looking at the scene")  # noqa: E731
+    look = look_at_scene(scene, surfaces, where, seed, tell)
+    progress(1 + VIEWS, _PARTS, "measuring paths")
+    paths = path_decisions(scene, [view.camera for view in look.views], seed)
+    progress(2 + VIEWS, _PARTS, "measuring noise")
+    samples = sample_decisions(look)
+    progress(3 + VIEWS, _PARTS, "counting Gaussians")
+    gaussians = gaussians_decision(look, breadth, scene.moving is not None)
     # Whether there are dynamic trees, courses of motion and light, and frames of many times.
     shapes = [] if scene.moving is None else scene.moving.shapes
     moves = {"shapes": len(shapes), "triangles": sum(int(shape.face_count()) for shape in shapes)}
@@ -107,15 +114,15 @@ def plan_of(
     decisions = (
         Decision(MOTION, motion_of(scene), MOVING, moves, 1.0, "times"),
         region_decision(region, look, breadth),
-        *path_decisions(scene, [view.camera for view in look.views], seed),
+        *paths,
         degree_decision(look),
         frame_precision_decision(look),
         layers_decision(display, size),
-        gaussians_decision(look, breadth, scene.moving is not None),
-        *sample_decisions(look),
+        gaussians,
+        *samples,
         Decision(LIGHT, kinds or "plain", "plain", {"causes": causes}, 1.0, "noise"),
     )
-    progress(3, _PARTS)
+    progress(_PARTS, _PARTS)
     return ScenePlan(scene.name, scene.own_hash, decisions, look)
 
 

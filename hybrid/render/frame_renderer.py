@@ -105,6 +105,8 @@ class Renderer:
         cache is filled anew.
         """
         self._as_loaded = False
+        if self.scene.instanced is not None:
+            self.scene.instanced.follow()
         self.tracer, self._cached = Tracer(self.scene, roulette_depth=self._roulette_depth), None
         self.forget()
         self._foveas.clear()

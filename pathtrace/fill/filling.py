@@ -57,11 +57,11 @@ def fill_cache(
     if scene.optics.has_media:
         return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
     share = -(-points // (2 * len(cameras)))
-    ends = [_path_ends(scene.mitsuba, camera, share, _state(random)) for camera in cameras]
+    ends = [_path_ends(scene.traced, camera, share, _state(random)) for camera in cameras]
     parts = [joined_points(ends)]
     if not len(parts[0]):
         return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
-    seen = [_seen_evenly(scene.mitsuba, parts[0], random)]
+    seen = [_seen_evenly(scene.traced, parts[0], random)]
     progress(1, total)
     for generation in range(1, _GENERATIONS):
         # What is seen from there must be known as well, to know what it reflects.
@@ -69,16 +69,16 @@ def fill_cache(
         if not len(further):
             break
         parts.append(further)
-        seen.append(_seen_evenly(scene.mitsuba, further, random))
+        seen.append(_seen_evenly(scene.traced, further, random))
         progress(generation + 1, total)
     every = joined_points(parts)
     cells = Cells.of(every, grid, lambda one, other, side: _joined(scene.mitsuba, every, one, other, side))
-    direct, samples = gather_direct(scene.mitsuba, every, _state(random))
+    direct, samples = gather_direct(scene.traced, every, _state(random))
     places = GuidedPlaces(every, cells, direct)
     progress(total - 1, total)
     most = segments_beyond_cache(scene)
     even = replace(Seen.joined(seen), point=np.repeat(np.arange(len(every)), _RAYS))
-    transfer = guided_transfer(scene.mitsuba, places, even, most, random)
+    transfer = guided_transfer(scene.traced, places, even, most, random)
     irradiance = transfer.irradiance(most)
     progress(total, total)
     lights = LightChoice.of(samples, every, grid, len(scene.mitsuba.emitters()))

@@ -25,6 +25,7 @@ from pathtrace.cache.irradiance_cache import (
     shows_lights,
 )
 from pathtrace.cache.light_selection import LightSamples, light_numbers
+from pathtrace.scene.instances import of_mitsuba
 from pathtrace.scene.scene import Scene
 
 # Samples of lights from each point; a square, for they are stratified.
@@ -96,8 +97,9 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
     if all(mi.has_flag(one.flags(), mi.EmitterFlags.Delta) for one in scene.emitters()):
         # No ray hits such a light.
         return sampled, sampled, registered
-    hit = scene.ray_intersect(_ray(at, other), active)
-    emitter, found = hit.emitter(scene), mi.DirectionSample3f(scene, hit, at)
+    hit = scene.ray_intersect(_ray(at, other), active=active)
+    whole = of_mitsuba(scene)
+    emitter, found = hit.emitter(whole), mi.DirectionSample3f(whole, hit, at)
     shines = active & (emitter != None)  # noqa: E711
     pdf = dr.maximum(dr.dot(found.d, at.n), 0) * dr.inv_pi
     share = pdf / (pdf + scene.pdf_emitter_direction(at, found, shines))
@@ -129,11 +131,11 @@ def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Fol
     valid, shiny, bounces = mi.Bool(False), mi.Bool(False), mi.UInt32(0)
     before, pdf, specular = dr.zeros(mi.SurfaceInteraction3f), mi.Float(1), mi.Bool(True)
     while active:
-        hit = scene.ray_intersect(ray, active)
-        emitter = hit.emitter(scene)
+        hit = scene.ray_intersect(ray, active=active)
+        emitter = hit.emitter(of_mitsuba(scene))
         # What is seen directly was sampled as a light.
         shines = active & (bounces > 0) & (emitter != None)  # noqa: E711
-        found = mi.DirectionSample3f(scene, hit, before)
+        found = mi.DirectionSample3f(of_mitsuba(scene), hit, before)
         other = scene.pdf_emitter_direction(before, found, shines & ~specular)
         weight = dr.select(specular, 1, pdf / (pdf + other))
         brought = dr.select(shines, throughput * weight * emitter.eval(hit, shines), 0)
@@ -300,7 +302,7 @@ def irradiance_over_time(
     for number, time in enumerate(times):
         scene.set_time(time)
         now = points(time)
-        rounds = [gather_direct(scene.mitsuba, now, seed + n)[0] for n in range(_ROUNDS)]
+        rounds = [gather_direct(scene.traced, now, seed + n)[0] for n in range(_ROUNDS)]
         found[number] = indirect + np.mean(rounds, axis=0).T
         if len(moving) and number in some:
             arriving.append(_indirect(scene, cache, now.take(moving), seed))
@@ -315,7 +317,7 @@ def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -
     """(3, N) irradiance that arrives over other surfaces, whose own irradiance is that of the cache."""
     rng = np.random.default_rng(seed)
     start = np.repeat(np.arange(len(points)), _RAYS)
-    seen = gather_seen(scene.mitsuba, points, start, rng.random((len(start), 2), dtype=np.float32), seed)
+    seen = gather_seen(scene.traced, points, start, rng.random((len(start), 2), dtype=np.float32), seed)
     position, normal = mi.Point3f(seen.hits.position.T), mi.Vector3f(seen.hits.normal.T)
     how = mi.Float(_ANY_AREA), mi.UInt32(len(cache.irradiance)), mi.Point2f(0.5), mi.Bool(seen.valid)
     _, irradiance = look_up(cache.arrays(scene.mitsuba).irradiance, position, normal, *how)

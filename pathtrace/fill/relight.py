@@ -216,7 +216,7 @@ class Relighting:
 
     def __init__(self, scene: Scene, cache: IrradianceCache, seed: int = 0):
         self._transfer, self._cache = cache.transfer, cache
-        self._resampling = Resampling(scene.mitsuba, cache.transfer, PARTS, seed)
+        self._resampling = Resampling(scene.traced, cache.transfer, PARTS, seed)
         self._cells = np.flatnonzero(cache.transfer.known)
         self._most = segments_beyond_cache(scene)
         self._rows = cache.lights.rows(cache.transfer.points)

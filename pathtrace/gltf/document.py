@@ -37,6 +37,10 @@ _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _MOST_NUMBERS = 1 << 28
 
 
+class NotFiniteError(UserError):
+    """Numbers in a file are NaN or infinite."""
+
+
 @dataclass(frozen=True)
 class Document:
     """A glTF file: its JSON, with the defaults of the specification, and the bytes of each buffer."""
@@ -57,9 +61,9 @@ class Document:
             raise self.refused(f"{user} refers to {name}[{index}]; there are {len(items)}")
         return items[int(index)]
 
-    def refused(self, why: str) -> UserError:
+    def refused(self, why: str, kind: type[UserError] = UserError) -> UserError:
         """What to raise for what is wrong in the file."""
-        return UserError(f"{self.file}: {one_line(why)}")
+        return kind(f"{self.file}: {one_line(why)}")
 
     def resource(self, uri: str, user: str) -> bytes:
         """What a URI stands for: its own data, or a file in the document's folder; UserError for others."""
@@ -176,7 +180,8 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
     """The (N, columns) numbers of an accessor; integers that stand for fractions are these fractions.
 
     Columns are those that it must have, or may have; the user, in error messages, is what refers to it.
-    UserError if there is none, it has other columns, lies outside of its buffer, or holds NaN or infinity.
+    UserError if there is none, it has other columns, or lies outside of its buffer; a NotFiniteError, which
+    is one, if it holds NaN or infinity.
     """
     accessor, name = document.item("accessors", index, user), f"accessors[{index}] of {user}"
     found = _COLUMNS.get(accessor["type"])
@@ -198,7 +203,7 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
         # Integers as fractions of the largest one (3.6.2.2).
         numbers = np.maximum(numbers / float(np.iinfo(values.dtype).max), -1.0)
     if not np.isfinite(numbers).all():
-        raise document.refused(f"{name} holds numbers that are not finite")
+        raise document.refused(f"{name} holds numbers that are not finite", NotFiniteError)
     return numbers
 
 

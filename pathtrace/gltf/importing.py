@@ -80,7 +80,7 @@ class _Import:
         """Writes everything; the scene will then lie at that path."""
         primitives = read_primitives(self._document, self._nodes, self._remarks)
         if not primitives:
-            raise self._document.refused("shows no triangles")
+            raise self._document.refused("; ".join(["shows no triangles", *self._remarks]))
         require_few(primitives, self._nodes, self._times, self._to_world)
         shapes, bounds = [], []
         for primitive in primitives:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from compose.base.files import write_whole
 from compose.camera.camera import Array
 from pathtrace.gltf.animated_nodes import Nodes
-from pathtrace.gltf.document import Document, read_array
+from pathtrace.gltf.document import Document, NotFiniteError, read_array
 
 Faces = NDArray[np.int64]
 
@@ -95,7 +95,7 @@ def _row(values: Array, time: int) -> int:
 
 
 def read_primitives(document: Document, nodes: Nodes, remarks: list[str]) -> list[Primitive]:
-    """All triangles that are shown, and remarks about what is not; UserError if a mesh is damaged or flat."""
+    """All triangles that are shown, and remarks about what is not; UserError if a mesh is damaged."""
     found = []
     for node in nodes.shown:
         item = document.section("nodes")[node]
@@ -108,7 +108,15 @@ def read_primitives(document: Document, nodes: Nodes, remarks: list[str]) -> lis
             if part["mode"] not in (_TRIANGLES, _STRIP, _FAN):
                 remarks.append(f"{user} has points or lines, and is left out")
                 continue
-            found.append(_primitive(document, node, name, mesh, part, user))
+            try:
+                primitive = _primitive(document, node, name, mesh, part, user)
+            except NotFiniteError:
+                remarks.append(f"{user} holds numbers that are not finite, and is left out")
+                continue
+            if _has_area(primitive.faces, primitive.positions, *primitive.targets):
+                found.append(primitive)
+            else:
+                remarks.append(f"{user} has no triangle with an area, and is left out")
     return found
 
 
@@ -134,8 +142,6 @@ def _primitive(
     colours = of_vertices(attributes, "COLOR_0", (3, 4))[:, :3] if "COLOR_0" in attributes else None
     faces = _faces(document, part, len(positions), user)
     stacked = np.stack(targets) if targets else np.zeros((0, *positions.shape))
-    if not _has_area(faces, positions, *stacked):
-        raise document.refused(f"{user} is degenerate: none of its triangles has an area")
     return Primitive(
         name,
         node,
@@ -157,7 +163,7 @@ def _faces(document: Document, part: dict[str, Any], vertices: int, user: str) -
         corners = read_array(document, part["indices"], 1, user)[:, 0].astype(np.int64)
     else:
         corners = np.arange(vertices)
-    if corners.min() < 0 or corners.max() >= vertices:
+    if len(corners) and (corners.min() < 0 or corners.max() >= vertices):
         raise document.refused(f"{user} has an index of {corners.max()}; it has {vertices} vertices")
     if part["mode"] == _TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)

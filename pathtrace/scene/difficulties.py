@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from pathtrace.scene.instances import seen_shapes
 from pathtrace.scene.panes import pane_shapes
 from pathtrace.scene.scene import Scene
 
@@ -43,7 +44,7 @@ def light_difficulties(scene: Scene) -> list[Difficulty]:
     if panes:
         remedy = "no shadow ray passes panes of glass; thin_glass lets them pass"
         found.append(Difficulty("panes", _names(panes), remedy))
-    shapes = [shape for shape in scene.mitsuba.shapes() if not shape.is_emitter() and shape not in panes]
+    shapes = [shape for shape in seen_shapes(scene.mitsuba) if not shape.is_emitter() and shape not in panes]
     smooth = [shape for shape in shapes if _focuses(shape)]
     if smooth and _sends_narrow_light(scene.mitsuba):
         remedy = (

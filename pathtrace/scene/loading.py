@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +22,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera, camera_from_pose
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE, WORLD, Place, opencv_from_mitsuba
+from pathtrace.scene.degenerate import degenerate_meshes, without
 from pathtrace.scene.scene_xml import mitsuba_folder
 from pathtrace.scene.sunsky import PLUGIN as BALANCED_SUNSKY
 from pathtrace.scene.triangles import Surfaces
@@ -152,12 +153,13 @@ def _of_type(properties: Any, kind: Any) -> list[str]:
 class Source:
     """What a scene is loaded from: XML text, whose files are relative to a folder, or a dictionary.
 
-    The name stands in error messages.
+    The name stands in error messages. Nodes of the parsed scene that are left out have numbers.
     """
 
     name: str
     content: str | dict[str, Any]
     folder: Path | None = None
+    left_out: frozenset[int] = frozenset()
 
 
 def load_mitsuba_in_place(
@@ -195,11 +197,42 @@ def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     Shapes whose ids are to stay `apart` are not merged with others, and keep their ids. UserError if Mitsuba
     refuses it, or it is not a scene.
     """
-    if apart:
+    if apart or source.left_out:
         return _parsed(source, apart, lambda state: None)
     # As this loads in parallel.
     load = mi.load_dict if isinstance(source.content, dict) else mi.load_string
     return _checked(source, lambda: load(source.content))
+
+
+def load_whole_parts(source: Source, apart: Collection[str] = ()) -> tuple[Any, Source, list[str]]:
+    """As `load_mitsuba`, but without degenerate meshes if it is for them that Mitsuba refuses the scene.
+
+    Also returns the source without these, and what is wrong with each.
+    """
+    try:
+        return load_mitsuba(source, apart), source, []
+    except UserError:
+        configuration = mi.parser.ParserConfig(mi.variant())
+        try:
+            wrong = _found(source, lambda: degenerate_meshes(_state(configuration, source)))
+        except Exception:
+            wrong = {}
+        if not wrong:
+            raise
+    source = replace(source, left_out=frozenset(wrong))
+    return load_mitsuba(source, apart), source, list(wrong.values())
+
+
+def _state(configuration: Any, source: Source) -> Any:
+    """The parsed description of a scene."""
+    if isinstance(source.content, dict):
+        return mi.parser.parse_dict(configuration, source.content)
+    return mi.parser.parse_string(configuration, source.content)
+
+
+def _found(source: Source, load: Callable[[], Any]) -> Any:
+    """What a function finds in the folder of a scene."""
+    return load() if source.folder is None else _in(source.folder, load)
 
 
 def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], None]) -> Any:
@@ -209,10 +242,9 @@ def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], Non
     configuration.parallel = False
 
     def load() -> Any:
-        if isinstance(source.content, dict):
-            state = mi.parser.parse_dict(configuration, source.content)
-        else:
-            state = mi.parser.parse_string(configuration, source.content)
+        state = _state(configuration, source)
+        if source.left_out:
+            without(state, source.left_out)
         changed(state)
         _simplify(configuration, state, apart)
         loaded = mi.parser.instantiate(configuration, state)
@@ -248,7 +280,7 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
 
 def _checked(source: Source, load: Callable[[], Any]) -> Any:
     try:
-        loaded = load() if source.folder is None else _in(source.folder, load)
+        loaded = _found(source, load)
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         # Mitsuba's first lines name a position in its own code; the last ones say what is wrong.
@@ -363,4 +395,4 @@ def _is_ordinary(loaded: Any, camera: Camera) -> bool:
 
 
 def _distance(loaded: Any, camera: Camera) -> float:
-    return Surfaces(SimpleNamespace(mitsuba=loaded)).median_distance(camera)
+    return Surfaces(SimpleNamespace(mitsuba=loaded, traced=loaded)).median_distance(camera)

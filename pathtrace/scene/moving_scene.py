@@ -22,6 +22,7 @@ from pathtrace.scene.courses import (
     is_unchanged,
     spread_over_faces,
 )
+from pathtrace.scene.instances import InstancedScene, of_mitsuba
 from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, RigidTrack, SceneMotion, ShapeTrack
 
 # Parameters by name that have a value of their own at a time.
@@ -52,7 +53,7 @@ class MovingScene:
     def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):
         self.motion, self.time = motion, 0.0
         self._scene, self._names = scene, names
-        self._parameters = mi.traverse(scene)
+        self._parameters = mi.traverse(of_mitsuba(scene))
         self._tracked = _Tracked(self._parameters, names, place, source)
         self._rest = self._tracked.vertices_of(motion)
         self._parts = self._tracked.parts(motion, self._rest)
@@ -125,6 +126,8 @@ class MovingScene:
                     self._set(key, value)
                     self._shown[key] = content
         self._parameters.update()
+        if isinstance(self._scene, InstancedScene):
+            self._scene.follow()
 
     def _set(self, key: str, value: Array) -> None:
         """Gives a parameter a value, that of vertices in the memory that they have.

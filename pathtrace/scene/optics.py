@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from compose.camera.camera import Camera
+from pathtrace.scene.instances import seen_shapes
 from pathtrace.scene.triangles import triangles_of
 
 # Clipping planes that Mitsuba's cameras have by default.
@@ -41,7 +42,7 @@ class Optics:
     def of(scene: Any, sensor: Any, camera: Camera, hides_emitters: bool) -> Optics:
         """Those of a Mitsuba scene with a sensor, whose camera is given as well."""
         medium = sensor.get_medium()
-        has_media = medium is not None or any(map(_matters, filter(has_medium, scene.shapes())))
+        has_media = medium is not None or any(map(_matters, filter(has_medium, seen_shapes(scene))))
         return Optics(hides_emitters, clipping_planes(scene, sensor, camera), medium, has_media)
 
     @property

@@ -15,6 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from compose.camera.camera import Array
+from pathtrace.scene.instances import seen_shapes
 from pathtrace.scene.triangles import triangles_of
 
 # Thickness of a pane at most, as a share of its smaller side, and of its size for a single sheet.
@@ -42,7 +43,7 @@ def with_thin_glass(scene: Any) -> int:
 
 def pane_shapes(scene: Any) -> list[Any]:
     """The shapes of a Mitsuba scene that are panes of glass, as `with_thin_glass` understands them."""
-    return [shape for shape in scene.shapes() if _is_thin(shape) or _can_be_thin(shape)]
+    return [shape for shape in seen_shapes(scene) if _is_thin(shape) or _can_be_thin(shape)]
 
 
 def _is_thin(shape: Any) -> bool:

@@ -16,11 +16,12 @@ import numpy as np
 from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
+from pathtrace.scene.instances import InstancedScene
 from pathtrace.scene.loading import (
     Source,
     camera_of_sensor,
     in_good_coordinates,
-    load_mitsuba,
+    load_whole_parts,
     perspective_sensor,
 )
 from pathtrace.scene.motion_file import read_motion
@@ -124,6 +125,7 @@ class Scene:
         keeps_depth: whether its path depth was asked for, so that no plan changes it.
         optics: what its cameras see besides surfaces and their light.
         left_out: what Mitsuba would show otherwise, a line each.
+        instanced: finds what rays hit in a Mitsuba scene with instances; None if it has none.
     """
 
     name: str
@@ -141,8 +143,14 @@ class Scene:
     keeps_depth: bool = False
     optics: Optics = field(default_factory=Optics)
     left_out: tuple[str, ...] = ()
+    instanced: InstancedScene | None = None
     # Found once, for all scenes that differ in their plan or depth only.
     _surfaces: list[Surfaces] = field(default_factory=list, repr=False, compare=False)
+
+    @property
+    def traced(self) -> Any:
+        """What kernels trace rays through: the Mitsuba scene, or what stands in for it."""
+        return self.mitsuba if self.instanced is None else self.instanced
 
     def surfaces(self) -> Surfaces:
         """Its surfaces as they are now."""
@@ -176,7 +184,9 @@ class Scene:
 
     @property
     def triangles(self) -> int:
-        """Number of triangles of all meshes; analytic shapes have none."""
+        """Number of triangles of all meshes, of each instance of one; analytic shapes have none."""
+        if self.instanced is not None:
+            return self.instanced.triangles
         return sum(shape.face_count() for shape in self.mitsuba.shapes() if shape.is_mesh())
 
 
@@ -224,7 +234,7 @@ def _loaded(
     content, name, description, motion = _described(source, motion)
     moves = None if motion is None else read_motion(motion)
     apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
-    loaded = load_mitsuba(content, apart)
+    loaded, content, degenerate = load_whole_parts(content, apart)
     sensor, fingerprint = perspective_sensor(loaded, content.name, wanted), description.fingerprint
     if not loaded.emitters():
         raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
@@ -235,7 +245,10 @@ def _loaded(
         # Forests and frames of the same scene in other coordinates do not fit it.
         fingerprint = text_fingerprint(f"{fingerprint} at {place.origin} in {place.unit}")
     optics = Optics.of(loaded, sensor, camera, description.hides_emitters)
-    left_out = tuple(_left_out(loaded, sensor, wanted, optics))
+    left_out = (
+        *(f"{wrong}; it is left out" for wrong in degenerate),
+        *_left_out(loaded, sensor, wanted, optics),
+    )
     for remark in left_out:
         _say(f"{content.name}: {remark}")
     if thin_glass:
@@ -247,12 +260,14 @@ def _loaded(
     most = _DEPTH_OF_MEDIA if optics.has_media else DEFAULT_MAX_DEPTH
     depth = min(description.max_depth, most) if description.max_depth > 0 else most
     ordered, names = with_ordered_shapes(loaded)
+    # Media are traced by Mitsuba itself.
+    instanced = None if optics.has_media else InstancedScene.of(ordered)
     moving = None
     if moves is not None:
-        moving = MovingScene(ordered, moves, names, place, name)
+        moving = MovingScene(instanced or ordered, moves, names, place, name)
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
-    scene = replace(scene, optics=optics, left_out=left_out)
+    scene = replace(scene, optics=optics, left_out=left_out, instanced=instanced)
     return scene if max_depth is None else replace(scene.at_depth(max_depth), keeps_depth=True)
 
 

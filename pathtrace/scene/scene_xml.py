@@ -68,17 +68,20 @@ class References:
 
     These are names of files in the order of the XML, parameters replaced, which may not exist, with the
     folder of the XML that names them; folders of `<path>`, in which Mitsuba looks for them besides that and
-    the scene's; and types of all elements.
+    the scene's; types of all elements; and the path depth that the last integrator asks for, if any, and
+    whether one of them hides lights. Of the scene's own integrators, nothing else is taken unless asked for.
 
     They are found from the scene's XML file and the elements of that. UserError if an included file is not
     well-formed, includes form a loop or are too many, or parameters stand for too much text.
     """
 
-    def __init__(self, source: Path, root: ET.Element):
-        self.source = source
+    def __init__(self, source: Path, root: ET.Element, with_integrator: bool = False):
+        self.source, self._with_integrator = source, with_integrator
         self.names: list[tuple[str, Path]] = []
         self.folders: list[Path] = []
         self.plugins: set[str] = set()
+        self.max_depth: str | None = None
+        self.hides_emitters = False
         self._parameters: dict[str, str] = {}
         self._includes = 0
         self._collect(root, source.parent, 0)
@@ -95,8 +98,13 @@ class References:
 
     def _collect(self, root: ET.Element, folder: Path, depth: int) -> None:
         """Walks through a file in the order of its elements, in which parameters are defined."""
+        of_integrators = {part for one in root.findall("integrator") for part in one.iter()}
         for element in root.iter():
             values = {self._replaced(key): self._replaced(value) for key, value in element.items()}
+            if element in of_integrators:
+                self._ask(element.tag, values)
+                if not (depth or self._with_integrator):
+                    continue
             self.plugins.update({values["type"]} if "type" in values else ())
             value = values.get("value", "")
             if element.tag == "default":
@@ -110,6 +118,14 @@ class References:
                 self.names.append((value, folder))
             elif "filename" in values:
                 self.names.append((values["filename"], folder))
+
+    def _ask(self, tag: str, values: dict[str, str]) -> None:
+        """Takes down what a part of an integrator asks for."""
+        name, value = values.get("name"), values.get("value", "").strip()
+        if tag == "integer" and name == "max_depth":
+            self.max_depth = value
+        elif tag == "boolean" and name == "hide_emitters":
+            self.hides_emitters |= value.lower() == "true"
 
     def _include(self, name: str, folder: Path, depth: int) -> None:
         self._includes += 1
@@ -229,22 +245,19 @@ class SceneDescription:
     hides_emitters: bool
 
 
-def read_description(path: Path, text: str | None = None, with_integrator: bool = False) -> SceneDescription:
+def read_description(path: Path, given: str | None = None, with_integrator: bool = False) -> SceneDescription:
     """Reads a scene's XML file, or a text that is to lie there, without its integrator by default.
 
     Paths here have integrators of their own; scenes found elsewhere may name integrators that only their
     author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
     memory, or would load native code that is not Mitsuba's.
     """
-    content = _content(path) if text is None else text.encode()
+    content = _content(path) if given is None else given.encode()
     root = parse_xml(path, content)
-    depth = _max_depth(root)
-    flags = root.findall("integrator//boolean[@name='hide_emitters']")
-    hides = any((flag.get("value") or "").strip().lower() == "true" for flag in flags)
+    references = References(path, root, with_integrator)
     if not with_integrator:
-        for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
+        for element in root.findall("integrator"):
             root.remove(element)
-    references = References(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(content, root, references)
     # Mitsuba would look for them from the working folder.
@@ -252,20 +265,11 @@ def read_description(path: Path, text: str | None = None, with_integrator: bool 
         if (found := path.parent / element.get("value", "")).is_dir():
             element.set("value", str(found))
     balance_xml(root)
-    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth, hides)
+    text, depth = ET.tostring(root, encoding="unicode"), _depth(references.max_depth)
+    return SceneDescription(text, fingerprint, depth, references.hides_emitters)
 
 
-def _max_depth(root: ET.Element) -> int:
-    """Path depth of the scene's integrator, with `$` parameters replaced by their defaults."""
-    defaults = {element.get("name"): element.get("value") for element in root.iter("default")}
-    depth = -1
-    for integrator in root.findall("integrator"):
-        found = integrator.find(".//integer[@name='max_depth']")
-        value = None if found is None else found.get("value")
-        if value and value.startswith("$"):
-            value = defaults.get(value[1:])
-        # Longer numbers are beyond the limit as well.
-        if value and re.fullmatch(r"-?\d{1,9}", value.strip()):
-            # -1 is Mitsuba's "no limit".
-            depth = max(int(value), -1) or -1
-    return depth
+def _depth(asked: str | None) -> int:
+    """Path depth of an integrator that asks for one; -1 is Mitsuba's "no limit"."""
+    # Longer numbers are no limit, either.
+    return int(asked) if asked and re.fullmatch(r"\d{1,9}", asked) and int(asked) > 0 else -1

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
 
 _SPHERE_RINGS = 24
@@ -21,11 +23,16 @@ _CLEARANCE_DIRECTIONS, _DIRECTIONS = 256, 96
 
 
 def triangles_of(shape: Any) -> Array | None:
-    """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported."""
+    """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported.
+
+    UserError if a face has a vertex that the shape does not have, about which Mitsuba does not care.
+    """
     parameters = mi.traverse(shape)
     if "vertex_positions" in parameters:
         vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
         faces = np.array(parameters["faces"]).reshape(-1, 3)
+        if len(faces) and faces.max() >= len(vertices):
+            raise UserError(f"a mesh has {len(vertices)} vertices, and a face with number {faces.max()}")
         return vertices[faces].astype(np.float64)
     unit = _unit_shape(shape.class_name())
     if unit is None or "to_world" not in parameters:
@@ -64,21 +71,23 @@ def _grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
 class Surfaces:
     """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
-    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, as
-    `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with instances, curves or
-    other shapes that are not, rays are traced by Mitsuba.
+    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, and what rays are traced
+    through, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with
+    instances, curves or other shapes that are not, rays are traced by Mitsuba.
     """
 
     def __init__(self, scene: Any):
         self._embree = EmbreeScene()
-        parts = [triangles_of(shape) for shape in scene.mitsuba.shapes()]
-        known = [part for part in parts if part is not None]
-        self._mitsuba: Any = scene.mitsuba if len(known) < len(parts) else None
-        if self._mitsuba is not None:
-            box = self._mitsuba.bbox()
-            self.bounds = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
-            return
-        corners = np.concatenate([np.zeros((0, 3, 3)), *known])
+        self._mitsuba: Any = None
+        parts = [np.zeros((0, 3, 3))]
+        for shape in scene.mitsuba.shapes():
+            part = triangles_of(shape)
+            if part is None:
+                self._mitsuba, box = scene.traced, scene.mitsuba.bbox()
+                self.bounds = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
+                return
+            parts.append(part)
+        corners = np.concatenate(parts)
         points = corners.reshape(-1, 3)
         self.bounds = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         if len(corners):
@@ -89,14 +98,23 @@ class Surfaces:
 
         It is inf where there is none.
         """
+        if not len(origins):
+            # Of no rays, Dr.Jit aborts the process.
+            return np.zeros(0)
         if self._mitsuba is not None:
-            return self._hits_of_mitsuba(origins, directions)[0]
+            found = self._mitsuba.ray_intersect_preliminary(_mitsuba_rays(origins, directions))
+            return np.array(found.t, np.float64)
         return _infinite_where_missed(self._run(origins, directions, query="DISTANCE"))
 
     def hits(self, origins: Array, directions: Array) -> tuple[Array, Array]:
         """`distance`, and the surfaces' unit normals (N, 3), which face the rays; 0 where there is none."""
+        if not len(origins):
+            return np.zeros(0), np.zeros((0, 3))
         if self._mitsuba is not None:
-            distance, normal = self._hits_of_mitsuba(origins, directions)
+            seen = self._mitsuba.ray_intersect(_mitsuba_rays(origins, directions))
+            # In one kernel: each would trace all rays.
+            dr.eval(seen.t, seen.n)
+            distance, normal = np.array(seen.t, np.float64), np.array(seen.n, np.float64).T
         else:
             found = self._run(origins, directions, query="INTERSECT", output=True)
             distance = _infinite_where_missed(found["tfar"])
@@ -104,12 +122,6 @@ class Surfaces:
         length = np.linalg.norm(normal, axis=1)
         facing = -np.sign(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
         return distance, np.where(np.isfinite(distance), facing, 0)[:, None] * normal
-
-    def _hits_of_mitsuba(self, origins: Array, directions: Array) -> tuple[Array, Array]:
-        """(N,) distances, inf where nothing is hit, and normals (N, 3) of the surfaces."""
-        start, way = (part.T.astype(np.float32) for part in (origins, directions))
-        found = self._mitsuba.ray_intersect(mi.Ray3f(mi.Point3f(start), mi.Vector3f(way)))
-        return np.array(found.t, np.float64), np.array(found.n, np.float64).T
 
     def _run(self, origins: Array, directions: Array, **how: Any) -> Any:
         rays = (np.ascontiguousarray(part, dtype=np.float32) for part in (origins, directions))
@@ -150,6 +162,11 @@ class Surfaces:
         distance = self.probe(camera)
         seen = distance[np.isfinite(distance)]
         return float(np.median(seen)) if len(seen) else np.inf
+
+
+def _mitsuba_rays(origins: Array, directions: Array) -> Any:
+    start, way = (part.T.astype(np.float32) for part in (origins, directions))
+    return mi.Ray3f(mi.Point3f(start), mi.Vector3f(way))
 
 
 def _infinite_where_missed(found: Any) -> Array:

@@ -20,6 +20,7 @@ from pathtrace.cache.irradiance_cache import (
     shows_lights,
 )
 from pathtrace.cache.light_selection import Lights
+from pathtrace.scene.instances import of_mitsuba
 from pathtrace.trace.sampling import LIGHT, SCATTERING, Sequences
 
 # The bound on the segments of paths that have none.
@@ -184,8 +185,8 @@ def _emitted(
     scattering chose the direction, over the number of shadow rays. No shadow ray could have found the light
     of paths that are `specular`.
     """
-    emitter = hit.emitter(scene)
-    found = mi.DirectionSample3f(scene, hit, before)
+    emitter = hit.emitter(of_mitsuba(scene))
+    found = mi.DirectionSample3f(of_mitsuba(scene), hit, before)
     shines = active & (emitter != None)  # noqa: E711
     weight = pdf / (pdf + lights.pdf(before, row, found, shines & ~specular))
     return dr.select(shines, dr.select(specular, 1, weight) * emitter.eval(hit, shines), 0)

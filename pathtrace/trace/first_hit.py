@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR, STILL, UNSTEADY
+from pathtrace.scene.instances import seen_shapes
 
 # Distance of the sky: beyond any scene, for its square is about the largest number that float32 holds. Seen
 # from anywhere in the scene, it lies in the same direction.
@@ -92,7 +93,7 @@ class Unseen:
     @staticmethod
     def of(scene: Any, lights: bool) -> Unseen | None:
         """Those of a Mitsuba scene, with or without its lights; None if there are none."""
-        boundaries = any(not int(shape.bsdf().flags()) & _SCATTERS for shape in scene.shapes())
+        boundaries = any(not int(shape.bsdf().flags()) & _SCATTERS for shape in seen_shapes(scene))
         return Unseen(lights, boundaries) if lights or boundaries else None
 
     def holds(self, scene: Any, surface: Any) -> Any:
@@ -107,7 +108,7 @@ class Unseen:
 
 def has_clear_surfaces(scene: Any) -> bool:
     """Whether a Mitsuba scene has mirrors or clear glass."""
-    return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes())
+    return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in seen_shapes(scene))
 
 
 def first_hits(
@@ -201,8 +202,3 @@ def _mover(hits: FirstHits, hit: Any, shown: Any, movers: Sequence[tuple[int, in
     # In mirrors and behind glass, it is not the surface itself that is seen.
     itself = shown & (hits.unfolded == hits.surface.t)
     return dr.select(hit, dr.select(itself, number, mi.Float(UNSTEADY)), mi.Float(STILL))
-
-
-def registered(shape: Any) -> int:
-    """The number by which kernels know a shape."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])

@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from compose.base.collector import collector_paused
 from compose.base.frozen import Frozen, Passed, rebuilt
+from pathtrace.scene.instances import InstancedScene, array_indices, of_mitsuba
 
 # Array types by whose entries one gets at all objects that Mitsuba has registered.
 _REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "Texture"
@@ -31,7 +32,8 @@ class FrozenWithScenes(Frozen):
 
     def __call__(self, *arguments: Any) -> Any:
         with collector_paused():
-            given = tuple(self._known(each) if type(each) is mi.Scene else each for each in arguments)
+            scenes = mi.Scene, InstancedScene
+            given = tuple(self._known(each) if type(each) in scenes else each for each in arguments)
             try:
                 result = self.replayed(given)
             except RuntimeError:
@@ -60,7 +62,8 @@ class _Scene(Passed):
 
     def follow(self) -> None:
         """Looks for the arrays again if one of the scene's has been replaced since the last time."""
-        indices = _indices([self.value])
+        scene = self.value
+        indices = array_indices(scene.parts if isinstance(scene, InstancedScene) else [scene])
         if indices != self._indices:
             self._indices = indices
             self.renewed()
@@ -68,8 +71,11 @@ class _Scene(Passed):
     def renewed(self) -> bool:
         """Looks for the arrays again; whether there are others."""
         # A recording has the functions of all objects in memory in it, and reads the arrays of all.
-        found = _indices([self.value, *_registered_objects()])
-        of_all = [index for index in dict.fromkeys(found) if index]
+        objects, scene = _registered_objects(), self.value
+        found = dict.fromkeys(array_indices([of_mitsuba(scene), *objects]))
+        if isinstance(scene, InstancedScene):
+            found = dict.fromkeys(scene.read(found, objects))
+        of_all = [index for index in found if index]
         if of_all == self._held:
             return False
         # What is held keeps its number: none that is freed meanwhile can be taken for it.
@@ -79,12 +85,6 @@ class _Scene(Passed):
         constants = repr([array.index for array in held if array.state != dr.VarState.Evaluated])
         self._held, self.flat = of_all, (_Scene, self, constants, *held)
         return True
-
-
-def _indices(objects: list[Any]) -> list[int]:
-    """Numbers of the arrays of Mitsuba's objects, each as often as they refer to it; 0 of empty ones."""
-    with dr.scoped_set_flag(dr.JitFlag.EnableObjectTraversal, True):
-        return dr.detail.collect_indices(objects)
 
 
 def _registered_objects() -> list[Any]:

@@ -136,9 +136,9 @@ def _traced(
     )
     settings = PathSettings(most, roulette, 1, scene.thin_glass)
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
-    surface, active = scene.mitsuba.ray_intersect(ray), mi.Bool(True)
+    surface, active = scene.traced.ray_intersect(ray), mi.Bool(True)
     # As many groups for all, since their number is part of the kernel.
     bins, known = DepthBins(MOST_SEGMENTS, _PARTS, group), empty.arrays(scene.mitsuba)
-    radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known, bins)
+    radiance = path_radiance(scene.traced, sampler, ray, surface, active, settings, sequences, known, bins)
     dr.eval(radiance, bins.sums, bins.segments)
     return radiance, bins

@@ -18,6 +18,7 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
+from pathtrace.scene.instances import registered
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions, clipped, opaque_camera, ray_through
@@ -29,7 +30,6 @@ from pathtrace.trace.first_hit import (
     auxiliary_hits,
     first_hits,
     has_clear_surfaces,
-    registered,
 )
 from pathtrace.trace.frozen import FrozenWithScenes
 from pathtrace.trace.media import veil
@@ -97,9 +97,9 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
-    Where thin glass lets shadow rays pass, or indirect light is bounded, paths of the same kind that do not
-    end in a cache stand in for it. Where there are participating media, it is `volpath`, unbiased whatever
-    else is asked for.
+    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, paths of
+    the same kind that do not end in a cache stand in for it. Where there are participating media, it is
+    `volpath`, unbiased whatever else is asked for.
 
     Args:
         scene: the scene.
@@ -132,8 +132,8 @@ class Tracer:
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
         shadow_rays = _SHADOW_RAYS if self._relit else 1
-        if (scene.thin_glass or most_indirect is not None) and not scene.optics.has_media:
-            # Mitsuba's `path` has no shadow rays that pass glass, and no bound.
+        if (scene.thin_glass or scene.instanced or most_indirect is not None) and not scene.optics.has_media:
+            # Mitsuba's `path` has no shadow rays that pass glass, no bound, and code for each instance.
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
         self._settings = PathSettings(depth, roulette, shadow_rays, scene.thin_glass, most_indirect)
@@ -217,7 +217,7 @@ class Tracer:
         """As `hits`, all positions at once."""
         x, y = positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
         ray, start = self._rays(opaque_camera(camera), x, y)
-        found = first_hits(self.scene.mitsuba, ray, mi.Bool(True), unseen=self._unseen)
+        found = first_hits(self.scene.traced, ray, mi.Bool(True), unseen=self._unseen)
         distance = dr.select(found.surface.is_valid(), found.surface.t + start, dr.inf)
         shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
         # What is seen in curved mirrors, or refracted as in the edge of a pane, moves with the viewer: it is
@@ -229,7 +229,7 @@ class Tracer:
         beyond = ~found.surface.is_valid() | (~last.is_valid() & unbent)
         unfolded = dr.select(beyond, dr.inf, dr.select(unbent, found.unfolded + start, distance))
         if self.scene.optics.has_media:
-            hidden = veil(self.scene.mitsuba, ray, self.scene.optics.medium, mi.Bool(True)).half + start
+            hidden = veil(self.scene.traced, ray, self.scene.optics.medium, mi.Bool(True)).half + start
             distance, unfolded = dr.minimum(distance, hidden), dr.minimum(unfolded, hidden)
         dr.eval(distance, unfolded, shapes)
         registry = {registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
@@ -261,7 +261,7 @@ class Tracer:
         """Albedo, normal, position, gloss and, where something moves, mover of a batch."""
         sums, first = list[Any](), list[Any]()
         for share in batch.passes(_MAX_LANES):
-            features = self._trace_auxiliary(self.scene.mitsuba, *share.rays())
+            features = self._trace_auxiliary(self.scene.traced, *share.rays())
             dr.eval(features)
             sums = _added(sums, share.lanes.sums([*features.albedo, *features.normal]), first)
             first = first or [
@@ -280,11 +280,11 @@ class Tracer:
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = mixed_seeds(seeds)
         if self._known is None:
-            channels = self._trace_radiance(features, self.scene.mitsuba, state, *batch.rays())
+            channels = self._trace_radiance(features, self.scene.traced, state, *batch.rays())
         else:
             # Unbiased paths only need the film positions of it.
             sampled = batch.sequences, *batch.rays(batch.sequences)
-            channels = self._trace_radiance(features, self.scene.mitsuba, state, self._known, *sampled)
+            channels = self._trace_radiance(features, self.scene.traced, state, self._known, *sampled)
         dr.eval(channels)
         radiance, means, first = channels[:3], channels[3:9], channels[9:]
         lanes = batch.lanes
@@ -305,7 +305,7 @@ class Tracer:
         ray, _ = self._rays(camera, x, y)
         radiance, _, _ = self._path.sample(scene, sampler, ray, self.scene.optics.medium, active)
         seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen) if features else None
-        return self._evaluated(radiance, sampler, seen, ray, active)
+        return self._evaluated(scene, radiance, sampler, seen, ray, active)
 
     def _cached_radiance(
         self,
@@ -326,13 +326,13 @@ class Tracer:
         seen = auxiliary_hits(scene, ray, active, self._clear and features, self._unseen)
         shown = active & seen.surface.is_valid() if self.scene.optics.hides_emitters else active
         paths = scene, sampler, ray, seen.surface, shown, self._settings, sequences, cache
-        return self._evaluated(path_radiance(*paths), sampler, seen if features else None, ray, active)
+        return self._evaluated(scene, path_radiance(*paths), sampler, seen if features else None, ray, active)
 
     def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
         ray, _ = self._rays(camera, x, y)
         seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
-        features = self._seen(seen, ray, active)
+        features = self._seen(scene, seen, ray, active)
         dr.eval(features)
         return features
 
@@ -344,7 +344,7 @@ class Tracer:
         return clipped(ray, camera, self.scene.optics.clips)
 
     def _evaluated(
-        self, radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any
+        self, scene: Any, radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any
     ) -> list[Any]:
         """Three channels of radiance and, of what was seen, those of auxiliary features; computed."""
         # A sample that is not finite counts as black: it would spoil its pixel's mean.
@@ -353,16 +353,16 @@ class Tracer:
         sampler.schedule_state()
         channels = list(radiance)
         if seen is not None:
-            features = self._seen(seen, ray, active)
+            features = self._seen(scene, seen, ray, active)
             channels += [*features.albedo, *features.normal, *features.of_first]
         dr.eval(channels)
         return channels
 
-    def _seen(self, hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
+    def _seen(self, scene: Any, hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
         """Auxiliary features; albedo and normal that are not finite, as of damaged textures, count as 0."""
         found = auxiliary_features(hits, ray, active, self._movers)
         if self.scene.optics.has_media:
-            found = veil(self.scene.mitsuba, ray, self.scene.optics.medium, active).over(found, ray)
+            found = veil(scene, ray, self.scene.optics.medium, active).over(found, ray)
         albedo, normal = (
             [dr.select(dr.isfinite(channel), channel, 0) for channel in channels]
             for channels in (found.albedo, found.normal)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import re
+import time
 
 import pytest
 from rich.console import Console
@@ -62,18 +63,32 @@ def test_messages_are_lines_while_a_command_runs(capsys):
 
 @pytest.mark.parametrize("where", ["file", "file of a log with colours", "dumb terminal"])
 def test_where_no_bar_can_be_drawn_there_is_a_line_now_and_then(monkeypatch, where):
-    screen, clock = (
-        Screen() if where == "dumb terminal" else io.StringIO(),
-        iter([0.0, 5.0, 20.0, 22.0, 40.0]),
-    )
+    """Even if a step takes so long that nobody calls the bar meanwhile."""
+    screen = Screen() if where == "dumb terminal" else io.StringIO()
     how = {"FORCE_COLOR": "1"} if "colours" in where else {"TERM": "dumb"}
     console = Console(file=screen, width=40, _environ={} if where == "file" else how, no_color=True)
     monkeypatch.setattr(progress, "console", console)
-    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.001)
     with progress_bar("capture (samples)") as bar:
-        for done in (1, 4, 5, 10):
-            bar(done, 10)
-    assert re.sub("\x1b\\[[0-9;]*m", "", screen.getvalue()).splitlines() == [
-        "capture (samples): 4 of 10, 20 s, about 30 s left",
-        "capture (samples): 10 of 10, 40 s, about 0 s left",
-    ]
+        for done, step in ((4, ""), (5, "denoising")):
+            bar(done, 10, step)
+            before = screen.tell()
+            # The next line may be one that was under way.
+            while screen.getvalue()[before:].count("left\n") < 2:
+                time.sleep(0.001)
+    lines = re.sub("\x1b\\[[0-9;]*m", "", screen.getvalue()).splitlines()
+    assert "capture (samples): 4 of 10, 0 s, about 0 s left" in lines
+    assert lines[-1] == "capture (samples) denoising: 5 of 10, 0 s, about 0 s left"
+
+
+@pytest.mark.parametrize(
+    ("how_far", "expected"),
+    [
+        ((0, 0, ""), "plan: 20 s"),
+        ((0, 8, "choosing views"), "plan choosing views: 0 of 8, 20 s"),
+        ((4, 10, ""), "plan: 4 of 10, 20 s, about 30 s left"),
+        ((10, 10, ""), "plan: 10 of 10, 20 s, about 0 s left"),
+    ],
+)
+def test_a_line_tells_what_is_known(how_far, expected):
+    assert progress._line("plan", *how_far, 20.0) == expected

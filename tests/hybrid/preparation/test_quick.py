@@ -74,7 +74,7 @@ def test_without_any_forest_one_is_planned_and_prepared(scene, forest, made, cap
     @contextmanager
     def noting(title):
         titles.append(title)
-        yield lambda done, total: None
+        yield lambda done, total, step="": None
 
     caplog.set_level("INFO", "hybrid")
     planned, found = with_forest(scene, None, noting)

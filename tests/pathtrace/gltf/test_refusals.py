@@ -183,8 +183,27 @@ def test_broken_skins_are_named(change, said, tmp_path):
 def test_a_mesh_without_area_is_refused(tmp_path, got):
     building = Building()
     building.node(mesh=building.mesh(np.ones((4, 3)), QUAD_FACES))
-    message = refusal(building.save(tmp_path / "a.glb"), tmp_path)
-    assert got(message.partition(": ")[2]).startswith("meshes[0].primitives[0] is degenerate")
+    said = got(refusal(building.save(tmp_path / "a.glb"), tmp_path).partition(": ")[2])
+    assert said.startswith("shows no triangles; meshes[0].primitives[0] has no triangle with an area")
+
+
+@extreme(
+    "one degenerate mesh in glTF",
+    given="a box beside a mesh of a point, and one of NaN",
+    expected="the box, and a remark for each",
+)
+def test_degenerate_meshes_are_left_out(tmp_path, got):
+    building = Building()
+    for vertices, faces in ((np.ones((4, 3)), QUAD_FACES), (BOX, BOX_FACES), (QUAD, QUAD_FACES)):
+        building.node(mesh=building.mesh(vertices, faces))
+    broken = building.view(np.full((4, 3), np.nan, "<f4").tobytes())
+    building.tree["accessors"][-2].update(bufferView=broken)
+    found = import_gltf(building.save(tmp_path / "a.gltf"), tmp_path / "scene")
+    assert found.triangles == len(BOX_FACES)
+    assert got("; ".join(found.remarks[:2])) == (
+        "meshes[0].primitives[0] has no triangle with an area, and is left out; "
+        "meshes[2].primitives[0] holds numbers that are not finite, and is left out"
+    )
 
 
 @extreme("glTF vertices at 1e30", given="a box of 1e30", expected="refused in one line")

@@ -34,12 +34,27 @@ def described(tmp_path, content: str) -> SceneDescription:
         ('<integrator type="path"><integer name="rr_depth" value="3"/></integrator>', -1),
         # Through a parameter, and in an integrator within another.
         ('<default name="bounces" value="4"/>' + INTEGRATOR.format("$bounces"), 4),
+        # The first definition counts.
+        ('<default name="b" value="4"/><default name="b" value="6"/>' + INTEGRATOR.format("$b"), 4),
         (INTEGRATOR.format("$bounces"), -1),
         (f'<integrator type="aov">{INTEGRATOR.format(6)}</integrator>', 6),
     ],
 )
 def test_the_scene_names_its_path_depth(tmp_path, content, depth):
     assert described(tmp_path, content).max_depth == depth
+
+
+def test_an_included_integrator_counts_with_the_parameters_of_the_including_file(tmp_path):
+    hides = '<integrator type="$i"><integer name="max_depth" value="$d"/>{}</integrator>'.format(
+        '<boolean name="hide_emitters" value="$h"/>'
+    )
+    (tmp_path / "integrator.xml").write_text(f'<scene version="3.0.0">{hides}</scene>')
+    defaults = "".join(
+        f'<default name="{name}" value="{value}"/>'
+        for name, value in {"i": "path", "d": 3, "h": "true"}.items()
+    )
+    found = described(tmp_path, defaults + '<include filename="integrator.xml"/>')
+    assert (found.max_depth, found.hides_emitters) == (3, True)
 
 
 def test_only_the_integrator_is_removed(tmp_path):
@@ -50,7 +65,9 @@ def test_only_the_integrator_is_removed(tmp_path):
     root = ET.fromstring(described(tmp_path, content).text)
     assert root.tag == "scene"
     assert root.get("version") == "3.0.0"
+    # Included files may refer to its name.
     assert [(child.tag, child.get("name")) for child in root] == [
+        ("default", "integrator"),
         ("default", "spp"),
         ("sensor", None),
         ("shape", None),

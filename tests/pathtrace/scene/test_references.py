@@ -111,6 +111,55 @@ def test_hashes_tell_all_indirect_files_apart(tmp_path, got):
     assert got(differ + (len(found) == 2)) == len(INDIRECT) + 1
 
 
+BALL = '<shape type="sphere"><float name="radius" value="$r"/></shape>'
+DEFAULT = '<default name="r" value="{}"/>'
+INCLUDE = '<include filename="part.xml"/>'
+# Content of the scene and of what it includes, and the radius of the ball; None where Mitsuba refuses it.
+PARAMETERS = {
+    "of the including file": (DEFAULT.format(2) + INCLUDE, BALL, 2),
+    "of the included file": (INCLUDE, DEFAULT.format(3) + BALL, 3),
+    "of both": (DEFAULT.format(2) + INCLUDE, DEFAULT.format(3) + BALL, 2),
+    "defined after the include": (INCLUDE + DEFAULT.format(2), BALL, None),
+    "of both, one after the include": (INCLUDE + DEFAULT.format(2), DEFAULT.format(3) + BALL, 3),
+    "of the included file, used after it": (INCLUDE + BALL, DEFAULT.format(3), 3),
+    "of a file around both": (DEFAULT.format(2) + INCLUDE, '<include filename="ball.xml"/>', 2),
+    "of the file between": (INCLUDE, DEFAULT.format(4) + '<include filename="ball.xml"/>', 4),
+    "of a file before": (INCLUDE + '<include filename="ball.xml"/>', DEFAULT.format(4), 4),
+    "of a parameter": ('<default name="d" value="5"/>' + DEFAULT.format("$d") + INCLUDE, BALL, 5),
+    "in the name of the file": (
+        '<default name="p" value="part"/>' + DEFAULT.format(2) + '<include filename="$p.xml"/>',
+        BALL,
+        2,
+    ),
+    "of an integrator": (
+        '<default name="integrator" value="path"/>' + DEFAULT.format(2) + INCLUDE,
+        '<integrator type="$integrator"/>' + BALL,
+        2,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_included_files_have_the_parameters_that_mitsuba_gives_them(name, backend, tmp_path):
+    content, included, radius = PARAMETERS[name]
+    files = {"part.xml": PART.format(included), "ball.xml": PART.format(BALL)}
+    file = scene(tmp_path, content, files)
+    if radius is None:
+        with pytest.raises(RuntimeError, match="undefined parameter"):
+            mi.load_file(str(file))
+        with pytest.raises(UserError, match=r"undefined parameter: \$r"):
+            load_scene(file)
+        return
+    sizes = [each.bbox().max.x for each in (mi.load_file(str(file)), load_scene(file).mitsuba)]
+    assert sizes == [radius, radius]
+
+
+def test_parameters_of_the_including_file_belong_to_the_hash(tmp_path):
+    files = {"part.xml": PART.format(BALL)}
+    found = {fingerprint(scene(tmp_path, DEFAULT.format(radius) + INCLUDE, files)) for radius in (2, 3)}
+    assert len(found) == 2
+
+
 def test_an_include_itself_belongs_to_the_hash(tmp_path):
     found = {
         fingerprint(scene(tmp_path, '<include filename="p.xml"/>', {"p.xml": PART.format(shape)}))
