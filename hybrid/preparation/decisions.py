@@ -51,12 +51,8 @@ def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[D
     In participating media, whose paths are those of Mitsuba, they stay as they are.
     """
     if scene.optics.has_media:
-        evidence = {"has_media": True}
-        depth, roulette = scene.own_depth, scene.roulette_depth
-        return [
-            Decision(DEPTH, depth, UNBOUNDED, evidence, 1.0, "segments per path"),
-            Decision(ROULETTE, roulette, RUSSIAN_ROULETTE_DEPTH, evidence, 1.0, "segments for equal noise"),
-        ]
+        own = ((DEPTH, scene.own_depth, UNBOUNDED), (ROULETTE, scene.roulette_depth, RUSSIAN_ROULETTE_DEPTH))
+        return [Decision(*each, {"has_media": True}, 1.0, "segments per path") for each in own]
     depth = _depth_decision(scene, cameras, seed)
     return [depth, _roulette(scene, cameras, int(depth.value), seed)]
 

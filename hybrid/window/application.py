@@ -128,8 +128,8 @@ def run_window(
     application = QApplication(sys.argv[:1])
     # Training would take minutes of a measurement that is expected to take seconds.
     trains = options.bench is None
-    how = {"thin_glass": thin_glass, "sensor": sensor}
-    thread = RenderThread(partial(prepared, scene, forest, backend, trains, settings, **how))
+    prepare = partial(prepared, scene, forest, backend, trains, settings)
+    thread = RenderThread(partial(prepare, thin_glass=thin_glass, sensor=sensor))
     window = MainWindow(thread, settings, GazeInput(options.latency, trace), options)
     bench = None if options.bench is None else WindowBench(window, options.bench, trace is None, options.load)
     window.show()
