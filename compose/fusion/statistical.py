@@ -17,13 +17,11 @@ from torch import Tensor
 from compose.fusion.features import texture_of
 from compose.fusion.parents import box_mean, enlarged, halved
 
-# Logarithm of the odds of denoised samples against splats: a constant; by the logarithms of what denoising
-# removed and of how far the two are apart, both squared; by how far the samples lie on the way from splats to
-# denoised ones; by doublings of the sample count, or instead of these for the quicker denoiser. They leave
-# the least relative error in 226 discs: two views each of seven forests of five scenes, with 1 to 32 samples
-# per pixel, of single frames, of still views and of walks. Fitted to four of the scenes, they are 0.1 dB
-# better than the better of both on the fifth, on average, and up to 0.9 dB worse.
-_EVEN, _REMOVED, _APART, _ALONG, _DOUBLINGS, _QUICK = -0.2, -0.53, 0.71, 0.97, 0.53, -0.62
+# Logarithm of the odds of denoised samples against splats, for each channel of `evidence`. Those by
+# benchmarks.fit_fusion to 226 discs: two views each of seven forests of five scenes, with 1 to 32 samples per
+# pixel, of single frames, of still views and of walks. Fitted to four of the scenes, they are 0.2 dB better
+# than the better of both on the fifth, on average, and at worst 0.9 dB worse.
+ODDS = {"even": -0.2, "removed": -0.53, "apart": 0.71, "along": 0.97, "doublings": 0.53, "quick": -0.62}
 _FURTHEST, _MOST_SAMPLES = 3.0, 64.0
 # Squared differences below this count as none, and light below this share of the image's mean as dark.
 _SAME, _DARK = 1e-5, 0.1
@@ -36,8 +34,24 @@ def statistical(
 ) -> tuple[Tensor, Tensor]:
     """Radiance and weights (N, 3, H, W) of denoised samples and sharpened splats.
 
-    Images are (N, 3, H, W), counts (N, 1, H, W), quick as in Parents. What is seen is the mean over about
-    12 x 12 pixels.
+    Images are (N, 3, H, W), counts (N, 1, H, W), quick as in Parents.
+    """
+    splat, seen = evidence(traced, denoised, splat, albedo, count, quick)
+    odds = (seen * seen.new_tensor(list(ODDS.values())).view(1, -1, 1, 1)).sum(1, keepdim=True)
+    share = enlarged(torch.sigmoid(odds), splat)
+    weights = torch.cat([torch.zeros_like(share), share, 1 - share], 1)
+    return torch.lerp(splat, denoised, share), weights
+
+
+def evidence(
+    traced: Tensor, denoised: Tensor, splat: Tensor, albedo: Tensor, count: Tensor, quick: bool
+) -> tuple[Tensor, Tensor]:
+    """Sharpened splats (N, 3, H, W), and what the odds depend on (N, len(ODDS), H / 4, W / 4).
+
+    The channels are 1; the logarithms of what denoising removed and of how far its result is from the splats,
+    both squared; how far the samples lie on the way from these to that; and the doublings of the sample count
+    or, since what the quicker denoiser blurs does not become less with the samples, 1 for that. What is seen
+    is the mean over about 12 x 12 pixels. Arguments are as in `statistical`.
     """
     level = ((denoised + splat) / 2).mean(1, keepdim=True)
     level = level + _DARK * level.mean((2, 3), keepdim=True) + 1e-30
@@ -46,18 +60,17 @@ def statistical(
     way = smooth - biased
     products = (samples - smooth) ** 2, way**2, (samples - biased) * way
     coarse = halved(torch.cat([*(one.mean(1, keepdim=True) for one in products), count], 1))
-    removed, apart, along, samples_taken = box_mean(halved(coarse)).split(1, 1)
-    odds = (
-        _EVEN
-        + _REMOVED * torch.log(removed + _SAME)
-        + _APART * torch.log(apart + _SAME)
-        + _ALONG * (along / (apart + _SAME)).clamp(-_FURTHEST, _FURTHEST)
-        # What the quicker denoiser blurs does not become less with the samples.
-        + (_QUICK if quick else _DOUBLINGS * torch.log2(samples_taken.clamp(1, _MOST_SAMPLES)))
-    )
-    share = enlarged(torch.sigmoid(odds), splat)
-    weights = torch.cat([torch.zeros_like(share), share, 1 - share], 1)
-    return torch.lerp(splat, denoised, share), weights
+    removed, apart, along, number = box_mean(halved(coarse)).split(1, 1)
+    doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
+    channels = {
+        "even": torch.ones_like(removed),
+        "removed": torch.log(removed + _SAME),
+        "apart": torch.log(apart + _SAME),
+        "along": (along / (apart + _SAME)).clamp(-_FURTHEST, _FURTHEST),
+        "doublings": torch.zeros_like(removed) if quick else doublings,
+        "quick": torch.full_like(removed, float(quick)),
+    }
+    return splat, torch.cat([channels[name] for name in ODDS], 1)
 
 
 def sharpened(splat: Tensor, texture: Tensor, others: tuple[Tensor, Tensor], level: Tensor) -> Tensor:
@@ -68,10 +81,10 @@ def sharpened(splat: Tensor, texture: Tensor, others: tuple[Tensor, Tensor], lev
     the lesser one is used, and less than all of it. The level is (N, 1, H, W).
     """
     seen = _seen(splat, level)
-    more, less = (_seen(splat * torch.exp(sign * texture), level) for sign in (0.5, -0.5))
     # Around the disc the samples are the splats themselves.
     traced = (others[0] != splat).any(1, keepdim=True)
-    change = torch.where(traced, more - less, 0)
+    # By which each unit of texture changes what is seen of the splats.
+    change = torch.where(traced, seen * (1 - seen) * texture, 0)
     found = [
         (change * (_seen(other, level) - seen)).sum((1, 2, 3), keepdim=True)
         / (change**2).sum((1, 2, 3), keepdim=True).clamp(min=_SAME)

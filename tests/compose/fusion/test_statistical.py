@@ -43,7 +43,7 @@ def twin(parents: Parents) -> tuple[Array, Array]:
     level = level + 0.1 * level.mean()
     seen = lambda image: image / (image + level)  # noqa: E731
     texture = np.log(albedo + 0.03) - np.log(uniform_filter(albedo, (3, 3, 1), mode="nearest") + 0.03)
-    change = seen(splat * np.exp(texture / 2)) - seen(splat * np.exp(-texture / 2))
+    change = seen(splat) * (1 - seen(splat)) * texture
     change[(traced == splat).all(2)] = 0
     lacks = [(change * (seen(image) - seen(splat))).sum() / (change**2).sum() for image in (traced, denoised)]
     splat = splat * np.exp(0.7 * np.clip(min(lacks), -1, 1) * texture)
@@ -52,9 +52,10 @@ def twin(parents: Parents) -> tuple[Array, Array]:
     height, width = level.shape[:2]
     blocks = [m.mean(2).reshape(height // 4, 4, width // 4, 4).mean((1, 3)) for m in maps]
     removed, apart, along = (uniform_filter(block, 3, mode="nearest") for block in blocks)
-    odds = module._EVEN + module._REMOVED * np.log(removed + 1e-5) + module._APART * np.log(apart + 1e-5)
-    odds = odds + module._ALONG * np.clip(along / (apart + 1e-5), -3, 3)
-    odds = odds + (module._QUICK if parents.quick else module._DOUBLINGS * np.log2(parents.count.mean()))
+    by = module.ODDS
+    odds = by["even"] + by["removed"] * np.log(removed + 1e-5) + by["apart"] * np.log(apart + 1e-5)
+    odds = odds + by["along"] * np.clip(along / (apart + 1e-5), -3, 3)
+    odds = odds + (by["quick"] if parents.quick else by["doublings"] * np.log2(parents.count.mean()))
     share = interpolated(1 / (1 + np.exp(-odds)), height, width)[..., None]
     weights = np.concatenate([0 * share, share, 1 - share], 2)
     return share * denoised + (1 - share) * splat, weights
@@ -96,7 +97,9 @@ def test_the_result_is_no_worse_than_denoised_samples_and_splats(spp):
 
 
 def test_the_error_falls_with_the_samples():
-    errors = [error(fused(example(9, spp).parents)[0], radiance_of(example(9, spp))) for spp in (1, 4, 16, 64)]
+    errors = [
+        error(fused(example(9, spp).parents)[0], radiance_of(example(9, spp))) for spp in (1, 4, 16, 64)
+    ]
     assert errors == sorted(errors, reverse=True)
 
 
@@ -131,7 +134,9 @@ def test_splats_get_no_more_texture_than_samples_and_denoising_agree_on():
     """Denoising that copies noise of the albedo sees texture where the samples do not."""
     truth, albedo = flat_wall()
     plain = np.full_like(truth, 0.7) + np.linspace(0, 0.1, 64, dtype=np.float32)[:, None, None]
-    given = replace(example(1, 4, 64).parents, traced=plain, denoised=truth, splat=plain - 0.01, albedo=albedo)
+    given = replace(
+        example(1, 4, 64).parents, traced=plain, denoised=truth, splat=plain - 0.01, albedo=albedo
+    )
     np.testing.assert_allclose(sharp(given), plain - 0.01, rtol=0.02)
 
 
