@@ -17,11 +17,10 @@ from torch import Tensor
 from compose.fusion.features import texture_of
 from compose.fusion.parents import box_mean, enlarged, halved
 
-# Logarithm of the odds of denoised samples against splats, for each channel of `evidence`. Those by
-# benchmarks.fit_fusion to 226 discs: two views each of seven forests of five scenes, with 1 to 32 samples per
-# pixel, of single frames, of still views and of walks. Fitted to four of the scenes, they are 0.2 dB better
-# than the better of both on the fifth, on average, and at worst 0.9 dB worse.
-ODDS = {"even": -0.2, "removed": -0.53, "apart": 0.71, "along": 0.97, "doublings": 0.53, "quick": -0.62}
+# Logarithm of the odds of denoised samples against splats, for each channel of `evidence`: those that leave
+# the least error, relative to the lesser one of both, in 251 discs: two views each of eight forests of six
+# scenes, with 1 to 32 samples per pixel, of single frames, of still views and of walks.
+ODDS = {"even": 0.23, "removed": -0.63, "apart": 0.89, "along": 1.17, "doublings": 0.56, "quick": -0.37}
 _FURTHEST, _MOST_SAMPLES = 3.0, 64.0
 # Squared differences below this count as none, and light below this share of the image's mean as dark.
 _SAME, _DARK = 1e-5, 0.1
