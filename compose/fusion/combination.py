@@ -2,7 +2,8 @@
 
 The parents err in different places: the traced radiance is noisy, denoising blurs and invents, splats lack
 detail and cannot follow changes. A small convolutional network, fitted to a scene, sees all of them and says
-per pixel what each is worth. Five things are built around it:
+per pixel what each is worth; where none was fitted, statistics do (compose.fusion.statistical). Five things
+are built around it:
 
 - The splats are sharpened first: where the traced albedo varies within the size of a splat, so must the
   radiance. How much of that variation they lack is part of what the network says.
@@ -37,6 +38,7 @@ from compose.fusion.parents import (
     padded_to_even,
     variance_of,
 )
+from compose.fusion.statistical import statistical
 from compose.image.outliers import MOST, outliers
 
 # Relative bias that no estimate but the traced radiance is trusted to stay below.
@@ -67,7 +69,7 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         # (1, C, H, W) each; the network sees blocks of 2 x 2.
         images = {name: padded_to_even(image) for name, image in images.items()}
         traced, denoised, variance, count = (images[n] for n in ("traced", "denoised", "variance", "count"))
-        radiance, weights = _first_estimate(images, parents, fusion, plain)
+        radiance, weights = _first_estimate(images, parents, fusion)
         if mean_count >= _TELLING_COUNT:
             share = regressed(radiance, denoised, traced, variance, plain)
             radiance, weights = torch.lerp(radiance, denoised, share), weights * (1 - share)
@@ -81,12 +83,12 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
 
 
 def _first_estimate(
-    images: Mapping[str, Tensor], parents: Parents, fusion: Fusion | None, plain: bool
+    images: Mapping[str, Tensor], parents: Parents, fusion: Fusion | None
 ) -> tuple[Tensor, Tensor]:
     """Radiance and weights (1, 3, H, W) by the network, or without one by statistics."""
     traced, denoised, splat = (images[name] for name in PARENTS)
     if fusion is None:
-        return statistical(traced, denoised, splat, images["variance"], plain)
+        return statistical(traced, denoised, splat, images["albedo"], images["count"], parents.quick)
     shares = shares_at(fusion.shares, parents.quick, images["count"], parents.enlargement)
     network, denoised_share, splat_share = shares.split(1, 1)  # (1, 1, H, W) each
     if not bool((network + splat_share).any()):
@@ -99,25 +101,6 @@ def _first_estimate(
     radiance = network * estimate + denoised_share * denoised + splat_share * splat
     weights = torch.cat([torch.zeros_like(network), denoised_share, splat_share], 1)
     return radiance, weights + network * of_estimate
-
-
-def statistical(
-    traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor, plain: bool = False
-) -> tuple[Tensor, Tensor]:
-    """Radiance and weights (N, 3, H, W) of splats and denoised samples, without anything fitted.
-
-    Images are (N, 3, H, W) as in Parents. The bias of the splats is held against the variance of the denoised
-    samples. The squared bias is the part of the squared difference between samples and splats, averaged over
-    about 6 x 6 pixels, that variance does not explain; denoising is assumed to average over as many pixels.
-    """
-    samples, smooth, biased = _squarable(plain, traced, denoised, splat)
-    known = torch.where(torch.isfinite(variance), variance, (samples - smooth) ** 2)
-    explained = box_mean(halved(known.mean(1, keepdim=True)))
-    found = box_mean(halved(((samples - biased) ** 2).mean(1, keepdim=True)))
-    bias = (found - explained).clamp(min=0)
-    share = enlarged(bias / (bias + explained / 36 + 1e-8), splat).to(splat.dtype)
-    weights = torch.cat([torch.zeros_like(share), share, 1 - share], 1)
-    return torch.lerp(splat, denoised, share), weights
 
 
 def regressed(

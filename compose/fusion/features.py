@@ -104,6 +104,11 @@ def perceived_slope(radiance: Tensor) -> Tensor:
     return torch.where(radiance < 1, low, 0.5 * radiance.clamp(min=1) ** -0.75)
 
 
+def texture_of(albedo: Tensor) -> Tensor:
+    """Logarithm of the albedo (N, 3, H, W) over its means in windows of 3 pixels."""
+    return torch.log(albedo + _DARK) - torch.log(box_mean(albedo) + _DARK)
+
+
 def _texture(albedo: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     """Logarithm of the albedo (N, 3, H, W) over its means in windows of 3, 6 and 12 pixels.
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from compose.fusion import combination
-from compose.fusion.combination import regressed, statistical, trust
+from compose.fusion.combination import regressed, trust
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
 from tests.compose.fusion.examples import (
@@ -193,23 +193,6 @@ def test_invalid_auxiliary_features_do_not_spread(name):
     fused = fuse(replace(given, **{name: image}), random_fusion())
     assert fused.excluded == 0
     assert np.isfinite(fused.radiance).all()
-
-
-def test_statistics_hold_the_bias_of_splats_against_noise():
-    """Squared bias d^2 - v against v / 36: of (0.3, 0.01) and (0.1, 0.0099), by hand."""
-    for difference, variance, expected in ((0.3, 0.01, 0.99654), (0.1, 0.0099, 0.26666), (0.05, 0.01, 0.0)):
-        radiance, weights = statistical(flat(0.5 + difference), flat(0.7), flat(0.5), flat(variance))
-        np.testing.assert_allclose(weights[:, 1], expected, atol=1e-4)
-        np.testing.assert_allclose(weights[:, 2], 1 - expected, atol=1e-4)
-        np.testing.assert_allclose(radiance, 0.5 + 0.2 * expected, atol=1e-4)
-        assert (weights[:, 0] == 0).all()
-
-
-def test_an_unknown_variance_is_taken_from_what_denoising_removed():
-    """0.8 - 0.7 squared is 0.01."""
-    radiance, _ = statistical(flat(0.8), flat(0.7), flat(0.5), flat(np.inf))
-    known, _ = statistical(flat(0.8), flat(0.7), flat(0.5), flat(0.01))
-    np.testing.assert_allclose(radiance, known, atol=1e-6)
 
 
 def way(length: float, at: float, noise: float) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import uniform_filter
 
-from compose.fusion.combination import regressed, statistical, trust
+from compose.fusion.combination import regressed, trust
 from compose.fusion.parents import Parents
 from tests.compose.fusion.examples import example, fuse, random_fusion
 from tests.extremes import extreme
@@ -140,7 +140,6 @@ def test_statistics_match_float64_at_any_brightness(scale):
     for function, images in (
         (trust, (denoised, traced, variance, count)),
         (regressed, (splat, denoised, traced, variance)),
-        (lambda *four: statistical(*four)[1], (traced, denoised, splat, variance)),
     ):
         found = function(*(torch.from_numpy(image) for image in images)).numpy()
         np.testing.assert_allclose(found, in_float64(function, *images), atol=2e-3)
