@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from hybrid.preparation import scene_look
 from hybrid.preparation import scene_plan as stored
 from hybrid.preparation.scene_plan import ScenePlan, plan_of
 from hybrid.render import irradiance
@@ -18,9 +19,10 @@ from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
 @pytest.fixture(scope="session", autouse=True)
 def small_caches() -> Iterator[None]:
-    """Caches of few points, which suffice for small scenes: many tests have a cache folder of their own."""
+    """Caches of few points, plans of small frames: enough for small scenes, made for many cache folders."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(irradiance, "fill_cache", partial(fill_cache, points=1 << 13))
+        monkeypatch.setattr(scene_look, "_LARGER_SIDE", 128)
         yield
 
 

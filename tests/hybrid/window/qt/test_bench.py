@@ -145,7 +145,7 @@ def test_the_command_measures_a_real_scene(made, offscreen, tmp_path):
     command += ["--size", 96, 64, "--bench", 1, "--json", out]
     ended = subprocess.run(
         [str(part) for part in command],
-        env=offscreen | {"HYBRID_HOME": str(tmp_path)},
+        env=offscreen | {"HYBRID_HOME": str(made / "home")},
         capture_output=True,
         text=True,
         timeout=300,

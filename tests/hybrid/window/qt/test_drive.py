@@ -61,6 +61,8 @@ def driven(scenario: str, screen: dict[str, str], made: Path, out: Path, *more: 
         out,
         *more,
     ]
+    # Neither its plan nor its cache is made again.
+    shutil.copytree(made / "home", out / "home", ignore=shutil.ignore_patterns("forests", "receipts"))
     home = {"HYBRID_HOME": str(out / "home")}
     ended = subprocess.run(
         [str(part) for part in command], env=screen | home, capture_output=True, text=True, timeout=600
