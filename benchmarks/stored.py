@@ -44,7 +44,7 @@ from splat.training.display_fit import fitted_for_display
 # Of the layer, by the ends of the files.
 FORMATS = "forest", "ply", "glb", "spz", "sog", "ksplat", "splat"
 _YAWS = 0.0, 90.0, 180.0, 270.0
-_SIZE = 256
+_SIZE = 512
 # What most Gaussians have is told: those that lie close together are taken for each other.
 _MOST = 95
 
