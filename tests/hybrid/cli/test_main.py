@@ -145,12 +145,13 @@ for command in (["scenes", "--json", sys.argv[1]], ["render", "r\u00f6m", "-o", 
     except SystemExit as end:
         code = end.code or 0
     import matplotlib.pyplot
-    print("ended", code, flush=True)
+    matplotlib.pyplot.figure()
+    print("r\u00f6m", code, flush=True)
 """
     command = [sys.executable, "-c", program, str(tmp_path / "s.json")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
-    ends = [line for line in done.stdout.splitlines() if line.startswith("ended")]
-    assert ends == ["ended 0", "ended 2"]
+    ends = [line for line in done.stdout.splitlines() if line.startswith("r?m")]
+    assert ends == ["r?m 0", "r?m 2"]
     assert done.stderr.count("\n") == 1
     assert "no such scene" in done.stderr
