@@ -108,12 +108,16 @@ def bytes_of_more_pixels(renderer: Renderer, mode: FoveaMode, spp: int) -> tuple
     return larger[0] - smaller[0], larger[1] - smaller[1]
 
 
+@pytest.fixture(scope="module", params=[Renderer, LiveRenderer])
+def renderer(request, scene, forest) -> Renderer:
+    return request.param(scene, forest)
+
+
 @pytest.mark.parametrize("spp", [1, 4])
 @pytest.mark.parametrize("mode", FoveaMode)
-@pytest.mark.parametrize("kind", [Renderer, LiveRenderer])
-def test_no_pass_brings_an_image_to_the_host(scene, forest, kind, mode, spp):
+def test_no_pass_brings_an_image_to_the_host(renderer, mode, spp):
     """Only what there is per tile and per row, no array of which has a byte for every eight pixels."""
-    count, largest = bytes_of_more_pixels(kind(scene, forest), mode, spp)
+    count, largest = bytes_of_more_pixels(renderer, mode, spp)
     assert largest < LARGE**2 / 8
     # Of all arrays together, most of them copies of each other.
     assert count < IMAGE / 2

@@ -44,6 +44,7 @@ def evaluated(made, tmp_path_factory):
         patch.setattr(hybrid.evaluation.equal_cost, "_F", (0.1, 0.4))
         patch.setattr(hybrid.evaluation.equal_cost, "_SPP", (1,))
         patch.setattr(hybrid.evaluation.equal_cost, "_TRIALS", 3)
+        patch.setattr(hybrid.evaluation.equal_cost, "_MOST_FRAMES", 6)
         patch.setattr(hybrid.evaluation.entries, "_WARM_UP", 1)
         patch.setattr(hybrid.evaluation.entries, "OTHER_SPP", (16,))
         patch.setattr(hybrid.evaluation.entries, "scored_in_parallel", scored_here)

@@ -12,6 +12,7 @@ from hybrid.base.cache_folder import newest_forest
 from hybrid.base.progress import no_bars
 from hybrid.preparation import preparation as module
 from hybrid.preparation import stage_planner as planner
+from hybrid.preparation import stages
 from hybrid.preparation.decisions import REGION, SAMPLES
 from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS
 from hybrid.preparation.preparation import prepare
@@ -23,7 +24,7 @@ from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
-from tests.hybrid.preparation.tiny import make_tiny
+from tests.hybrid.preparation.tiny import STAGES, make_tiny
 from tests.moving import moving_corner
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -71,8 +72,11 @@ def test_from_nothing_to_a_forest(whole):
 
 
 @pytest.mark.parametrize(("region", "least", "most"), [("near", 250, 250), ("reachable", 251, 12 * 250)])
-def test_gaussians_are_as_planned(scene, tmp_path, region, least, most):
+def test_gaussians_are_as_planned(scene, tmp_path, monkeypatch, region, least, most):
     """The plan is for the default region, with half as many as where nothing is known; others take more."""
+    # Views and steps as well: up to 12 times as many.
+    few = tuple(replace(stage, views=1, spp=2, steps=5) for stage in STAGES)
+    monkeypatch.setattr(stages, "STAGES", few)
     plan = {GAUSSIANS: FIXED_GAUSSIANS // 2, SAMPLES: 64, REGION: "near"}
     settings = replace(DRAFT, region=region)
     prepared = prepare(replace(scene, plan=plan), settings, no_bars, tmp_path)

@@ -6,6 +6,7 @@ from hybrid.preparation import preparation, stages
 from hybrid.preparation import stage_planner as planner
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_set import CaptureSettings
+from pathtrace.region import view_selection as selection
 
 STAGES = (
     Stage(views=4, scale=1, spp=4, gaussians=300, steps=15),
@@ -23,3 +24,7 @@ def make_tiny(patch) -> None:
     patch(stages, "QUALITIES", {"draft": 2, "standard": 3, "high": 4})
     patch(planner, "QUALITIES", stages.QUALITIES)
     patch(preparation, "FUSION_CAPTURE", FUSION)
+    # Where viewers may be is small, too.
+    patch(selection, "_VIEWERS", 160)
+    patch(selection, "_CANDIDATES", 128)
+    patch(selection, "_ROUND", 64)

@@ -28,6 +28,7 @@ def twin(links: Links, cells: np.ndarray, light: np.ndarray, segments: int) -> n
     """Light of at most a number of segments, ray by ray."""
     if segments < 1:
         return np.zeros((CELLS, 3))
+    shorter = [twin(links, cells, light, fewer) for fewer in range(segments)]
     sums, rays = np.zeros((CELLS, 3)), np.zeros(CELLS)
     for point, hit, bounces, reflectance in zip(
         links.point, links.cell, links.bounces, links.reflectance, strict=True
@@ -36,7 +37,7 @@ def twin(links: Links, cells: np.ndarray, light: np.ndarray, segments: int) -> n
             if cell >= 0:
                 rays[cell] += 1
                 if hit >= 0:
-                    sums[cell] += reflectance * twin(links, cells, light, segments - 1 - bounces)[hit]
+                    sums[cell] += reflectance * shorter[max(segments - 1 - bounces, 0)][hit]
     return light[min(segments, len(light)) - 1] + sums / np.maximum(rays, 1)[:, None]
 
 

@@ -140,7 +140,7 @@ def room_with_floor(bsdf: dict) -> dict:
 def test_glossy_floors_do_not_make_a_room_brighter(bsdf, depth):
     """Their lobes were once counted twice, and light by way of metal as if it had come directly."""
     scene = load_scene(room_with_floor(bsdf), max_depth=depth)
-    cache = fill_cache(scene, [scene.camera], points=1 << 16)
+    cache = fill_cache(scene, [scene.camera], points=1 << 14)
     spp = 512
     means, errors = [], []
     for tracer in (Tracer(scene), Tracer(scene, cache=cache)):

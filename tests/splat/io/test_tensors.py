@@ -59,12 +59,15 @@ def test_files_of_other_programs_have_no_metadata(tmp_path):
 
 
 def test_the_same_content_is_the_same_file(tmp_path):
-    """In a process of its own, whose hash tables have another order."""
+    """Also in a process of its own, whose hash tables have another order."""
     program = (
-        "import sys, torch; from pathlib import Path; from splat.io.tensors import save_tensors; "
-        "save_tensors(Path(sys.argv[1]), {'b': torch.ones(3), 'a': torch.zeros(2)}, {'y': 1, 'x': [2.5]})"
+        "import sys, torch; from pathlib import Path; from splat.io.tensors import save_tensors\n"
+        "for file in sys.argv[1:]:\n"
+        "    save_tensors(Path(file), {'b': torch.ones(3), 'a': torch.zeros(2)}, {'y': 1, 'x': [2.5]})"
     )
-    files = [tmp_path / f"{number}.safetensors" for number in range(4)]
-    for file in files:
-        subprocess.run([sys.executable, "-c", program, str(file)], check=True, cwd=Path(__file__).parents[3])
+    files = [tmp_path / f"{number}.safetensors" for number in range(10)]
+    command = [sys.executable, "-c", program, *map(str, files[:5])]
+    subprocess.run(command, check=True, cwd=Path(__file__).parents[3])
+    for file in files[5:]:
+        save_tensors(file, {"b": torch.ones(3), "a": torch.zeros(2)}, {"y": 1, "x": [2.5]})
     assert len({file.read_bytes() for file in files}) == 1

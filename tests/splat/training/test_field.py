@@ -80,11 +80,11 @@ def test_only_what_frames_show_to_move_is_deformed_if_so_asked(arrays):
 
 @pytest.mark.parametrize("model", LEARNED)
 def test_training_resumes_with_the_same_bits(arrays, model):
-    settings = replace(SETTINGS, iterations=24, layers=2, motion=model)
+    settings = replace(SETTINGS, iterations=12, layers=2, motion=model)
     straight = Trainer(arrays, VIEWS, settings)
     straight.run()
     first = Trainer(arrays, VIEWS, settings)
-    first.run(until=13)
+    first.run(until=7)
     tensors, numbers = first.state()
     tensors = {name: tensor.clone() for name, tensor in tensors.items()}
     second = Trainer(arrays, VIEWS, settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 
 from splat.model.dynamic_light import NodeLight, SurfaceLight, factors_at, in_light, seen_from_behind
 from splat.raster.differentiable import render_differentiable
+from splat.training import layer_training
 from splat.training.initialization import seed_at
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
@@ -80,13 +82,29 @@ def test_known_light_is_learnt_out_of_the_frames(arrays, whole):
     assert found[1] < 0.1
 
 
-@pytest.mark.parametrize("stop", [30, 110])
-def test_an_interrupted_training_ends_with_the_same_bits(arrays, whole, stop):
-    first, second = (Trainer(arrays, VIEWS, SETTINGS, light=light()) for _ in range(2))
+SHORT = replace(SETTINGS, iterations=40)
+
+
+@pytest.fixture(scope="module")
+def often() -> Iterator[None]:
+    """Nodes look for their light every 10 steps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(layer_training, "_LIT_EVERY", 10)
+        yield
+
+
+@pytest.fixture(scope="module")
+def short(arrays, often) -> Trainer:
+    return trained(arrays, True, SHORT)
+
+
+@pytest.mark.parametrize("stop", [8, 28])
+def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, stop):
+    first, second = (Trainer(arrays, VIEWS, SHORT, light=light()) for _ in range(2))
     first.run(until=stop)
     second.restore(*first.state())
     second.run()
-    for name, tensor in whole.state()[0].items():
+    for name, tensor in short.state()[0].items():
         torch.testing.assert_close(second.state()[0][name], tensor, rtol=0, atol=0)
 
 

@@ -40,14 +40,14 @@ def test_each_method_has_a_line(monkeypatch, tmp_path, capsys):
 
     monkeypatch.setattr(module, "bench_moving", bench_moving)
     forest, other, out = tmp_path / "f", tmp_path / "other.forest", tmp_path / "rows.json"
-    save_forest(forest, rough_forest(load_scene("room-moving")))
+    save_forest(forest, rough_forest(load_scene("cloth")))
     save_forest(other, load_forest(forest))
-    common = ["bench", command.__name__, "room-moving", "--forest", forest, "--size", 48, 32, "--spp", 2]
+    common = ["bench", command.__name__, "cloth", "--forest", forest, "--size", 48, 32, "--spp", 2]
     assert run(monkeypatch, *common, "--reference-spp", 8, "--against", other, "--json", out) == 0
-    assert given == [("room-moving", 48, 2, 8, ["other"])]
+    assert given == [("cloth", 48, 2, 8, ["other"])]
     written = json.loads(out.read_text())
     assert {name: written[name] for name in ("scene", "size", "spp", "rows")} == {
-        "scene": "room-moving",
+        "scene": "cloth",
         "size": [48, 32],
         "spp": 2,
         "rows": ROWS,
