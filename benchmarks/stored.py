@@ -17,12 +17,13 @@ import numpy as np
 import torch
 from PIL import Image as PillowImage
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 import hybrid
 from compose.base.files import json_text
 from compose.camera.camera import Array, Camera, turned
 from compose.camera.coordinate_systems import Place
-from compose.image.colour import Image, srgb_from_radiance
+from compose.image.colour import decibels, srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
 from hybrid.render.forest_attachments import views_of
 from pathtrace.dataset.captured_frames import read_frame
@@ -83,34 +84,23 @@ def _angles(sent: Gaussians, back: Gaussians) -> Array:
     """(N,) degrees between the shortest axes, which formats may store as another one."""
     normals = []
     for one in (sent, back):
-        x, y, z, w = (quaternions_xyzw(one) / np.linalg.norm(quaternions_xyzw(one), axis=1, keepdims=True)).T
-        columns = np.stack([
-            *(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-            *(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-            *(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-        ], axis=1).reshape(-1, 3, 3)  # fmt: skip
-        normals.append(columns[np.arange(len(one)), rows_of(one.log_scales).argmin(axis=1)])
+        axes = Rotation.from_quat(quaternions_xyzw(one)).as_matrix()
+        normals.append(axes[np.arange(len(one)), :, rows_of(one.log_scales).argmin(axis=1)])
     cosine = np.abs(np.einsum("ni,ni->n", *normals))
     return np.degrees(np.arccos(np.clip(cosine, 0, 1)))
 
 
 def pictures(gaussians: Gaussians, place: Place, cameras: list[Camera]) -> Array:
     """(V, H, W, 3) in sRGB."""
-    return np.stack([
-        srgb_from_radiance(render(gaussians, camera, place)).astype(np.float64) for camera in cameras
-    ])  # fmt: skip
-
-
-def render(gaussians: Gaussians, camera: Camera, place: Place) -> Image:
-    """(H, W, 3) linear radiance."""
     import splat
 
-    return np.asarray(splat.render(gaussians, camera, place=place).numpy())
+    shown = (splat.render(gaussians, camera, place=place).numpy() for camera in cameras)
+    return np.stack([srgb_from_radiance(image).astype(np.float64) for image in shown])
 
 
 def psnr(ours: Array, theirs: Array) -> float:
     """Of pictures (V, H, W, 3), in decibels."""
-    return float(-10 * np.log10(max(((ours - theirs) ** 2).mean(), 1e-12)))
+    return decibels(float(((ours - theirs) ** 2).mean()))
 
 
 def of_colmap(scene: Any, folder: Path) -> dict[str, Any]:

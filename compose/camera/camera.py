@@ -234,6 +234,15 @@ def turned(rotation: Array, yaw: float, pitch: float) -> Array:
     return rotation @ about_y @ about_x
 
 
+def sphere_directions(count: int) -> Array:
+    """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci lattice."""
+    index = np.arange(count) + 0.5
+    z = 1 - 2 * index / count
+    turn = index * np.pi * (1 + 5**0.5)
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+
+
 def eyes(camera: Camera, distance: float) -> tuple[Camera, Camera]:
     """The left and the right eye, `distance` apart, on either side of a camera; both look the same way."""
     return camera.moved_right(-distance / 2), camera.moved_right(distance / 2)

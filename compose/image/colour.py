@@ -1,4 +1,4 @@
-"""Images in linear radiance: their luminance, and their conversion to sRGB."""
+"""Images in linear radiance: their luminance, their conversion to sRGB, and what errors there are in dB."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
 SRGB_DARK, SRGB_DARK_VALUE, SRGB_SLOPE = 0.0031308, 0.04045, 12.92
 # ... and a power beyond them (`srgb_power`).
 SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 1.055, 0.055, 2.4
+# Squared errors count as this at least: 120 dB.
+LEAST_ERROR = 1e-12
 
 
 def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -54,3 +56,8 @@ def radiance_from_srgb(srgb: NDArray[Any]) -> NDArray[Any]:
 def bytes_from_radiance(radiance: Image) -> NDArray[np.uint8]:
     """Radiance as sRGB with eight bits per channel, as in a PNG file."""
     return (srgb_from_radiance(radiance) * 255 + 0.5).astype(np.uint8)
+
+
+def decibels(squared_error: float) -> float:
+    """PSNR in dB, at most 120, of a mean squared error of values in 0..1."""
+    return float(-10 * np.log10(max(squared_error, LEAST_ERROR)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.image.colour import Image, luminance, srgb_from_radiance
+from compose.image.colour import Image, decibels, luminance, srgb_from_radiance
 
 
 def checked_pair(image: Image, reference: Image, name: str = "the image") -> None:
@@ -34,10 +34,6 @@ def _size(image: Image) -> str:
     return " x ".join(str(side) for side in reversed(image.shape[:-1]))
 
 
-# Smaller errors count as this one, so that equal images have 120 dB instead of infinitely many.
-_LEAST_ERROR = 1e-12
-
-
 def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float:
     """Peak signal-to-noise ratio in dB of images (..., 3), as sRGB clipped to 0..1; at most 120.
 
@@ -52,7 +48,7 @@ def psnr_of_error(squared_error: float) -> float:
     """PSNR in dB, at most 120, of a mean squared error of values in 0..1; UserError if not finite."""
     if not np.isfinite(squared_error):
         raise UserError(f"squared error {squared_error}: must be finite to have a PSNR")
-    return float(-10 * np.log10(max(squared_error, _LEAST_ERROR)))
+    return decibels(squared_error)
 
 
 # Half the side of SSIM's window: the map is undefined this close to the border.

@@ -14,7 +14,7 @@ from compose.eye.acuity import ACUITY_MODELS, DEFAULT_ACUITY_MODEL
 from compose.eye.detail import LayerRange, detail_map
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.image.colour import luminance, srgb_from_radiance
+from compose.image.colour import LEAST_ERROR, decibels, luminance, srgb_from_radiance
 from hybrid.preparation.scene_look import HALF_SPP, Look
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.region.viewing_regions import NEAR
@@ -160,8 +160,6 @@ def layers_decision(display: Display, size: tuple[int, int]) -> Decision:
 
 DENOISED, RAW = "denoised", "raw"
 SAMPLES, DENOISING = "samples", "denoising"
-# Squared errors count as this at least: 120 dB.
-_LEAST_ERROR = 1e-12
 # Samples by which denoising must stand in for more, at least.
 _LEAST_DENOISING_GAIN = 1.2
 # Samples per pixel of training frames where nothing is known, and the range of those that are planned.
@@ -184,7 +182,7 @@ def sample_decisions(look: Look) -> list[Decision]:
     raw = float(np.mean(np.square([one - other for one, other in pairs]))) / 2
     frames = zip(look.halves, look.denoised, strict=True)
     denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
-    gain = max(raw / 2, _LEAST_ERROR) / max(denoised, _LEAST_ERROR)
+    gain = max(raw / 2, LEAST_ERROR) / max(denoised, LEAST_ERROR)
     kind, gain = (DENOISED, gain) if gain >= _LEAST_DENOISING_GAIN else (RAW, 1.0)
     evidence = {"raw_spp": HALF_SPP, "raw_db": decibels(raw)}
     evidence |= {"denoised_spp": 2 * HALF_SPP, "denoised_db": decibels(denoised)}
@@ -201,11 +199,6 @@ def _samples(kind: str, found_db: float) -> Decision:
     evidence = {"spp": 2 * HALF_SPP, "db": found_db}
     evidence |= {"wanted_db": CONVERGED_DB, "db_per_doubling": _GAIN_DB[kind]}
     return Decision(SAMPLES, samples, FIXED_SAMPLES, evidence, FIXED_SAMPLES / samples, "samples to trace")
-
-
-def decibels(squared: float) -> float:
-    """PSNR in dB, at most 120, of a mean squared error of sRGB values."""
-    return float(-10 * np.log10(max(squared, _LEAST_ERROR)))
 
 
 REGION = "region"

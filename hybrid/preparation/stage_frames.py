@@ -10,9 +10,9 @@ import drjit as dr
 import numpy as np
 
 from compose.camera.camera import Camera
-from compose.image.colour import srgb_from_radiance
+from compose.image.colour import decibels, srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES, decibels
+from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
 from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error

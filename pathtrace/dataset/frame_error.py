@@ -23,7 +23,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.image.colour import Image, srgb_from_radiance, srgb_slope
+from compose.image.colour import Image, decibels, srgb_from_radiance, srgb_slope
 from pathtrace.trace.traced_images import TracedImage
 
 # Squared bias over the squared change by twice the samples: of five scenes and 1 to 16 samples per half, 3.8
@@ -39,8 +39,6 @@ _JOINT_SHARE = 0.95
 _LARGEST_RESIDUAL = 16.0
 # Side in pixels of the blocks whose scatter says how sure the product is: errors within one are correlated.
 _BLOCK = 16
-# Smaller errors count as this one, so that frames without noise have 120 dB.
-_LEAST_ERROR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class FrameError:
     @property
     def psnr_db(self) -> float:
         """Peak signal-to-noise ratio in dB of the frame denoised from all samples; at most 120."""
-        return float(-10 * np.log10(max(self.mse, _LEAST_ERROR)))
+        return decibels(self.mse)
 
     def _bias(self) -> float:
         """Squared bias of the denoised halves."""

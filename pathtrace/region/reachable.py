@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera, unit
+from compose.camera.camera import Array, Camera, sphere_directions, unit
 from pathtrace.region.looks import Looks, turned_about, upright, widened
 from pathtrace.region.view_selection import DrawnRegion
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces, sphere_directions
+from pathtrace.scene.triangles import Surfaces
 
 Mask = NDArray[np.bool_]
 _Nodes = NDArray[np.int64]

@@ -42,12 +42,12 @@ def without(state: Any, numbers: Collection[int]) -> None:
     """Takes nodes out of a parsed scene, and instances of groups in which nothing is left."""
     # With an empty group in memory, Dr.Jit refuses to record kernels of any scene.
     left_out, kinds = set(numbers), mi.Properties.Type
-    parts = [_of_kind(node.props, kinds.ResolvedReference) for node in state.nodes]
+    parts = [of_kind(node.props, kinds.ResolvedReference) for node in state.nodes]
     held = [{part.index() for part in found.values()} for found in parts]
     empty = {n for n, node in enumerate(state.nodes) if _is(node, "shapegroup") and held[n] <= left_out}
     ids = {state.nodes[number].props.id() for number in empty}
     for number, node in enumerate(state.nodes):
-        named = {part.id() for part in _of_kind(node.props, kinds.Reference).values()}
+        named = {part.id() for part in of_kind(node.props, kinds.Reference).values()}
         if _is(node, "instance") and (named & ids or held[number] & empty):
             left_out.add(number)
     for node, found in zip(state.nodes, parts, strict=True):
@@ -60,7 +60,7 @@ def _is(node: Any, plugin: str) -> bool:
     return bool(node.props.plugin_name() == plugin)
 
 
-def _of_kind(properties: Any, kind: Any) -> dict[str, Any]:
+def of_kind(properties: Any, kind: Any) -> dict[str, Any]:
     """Properties of a type, by name."""
     return {name: properties[name] for name in list(properties.keys()) if properties.type(name) == kind}
 

@@ -22,7 +22,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera, camera_from_pose
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE, WORLD, Place, opencv_from_mitsuba
-from pathtrace.scene.degenerate import degenerate_meshes, without
+from pathtrace.scene.degenerate import degenerate_meshes, of_kind, without
 from pathtrace.scene.scene_xml import mitsuba_folder
 from pathtrace.scene.sunsky import PLUGIN as BALANCED_SUNSKY
 from pathtrace.scene.triangles import Surfaces
@@ -64,11 +64,11 @@ def relocate(state: Any, place: Place) -> None:
     """
     groups = (node.props for node in state.nodes if node.props.plugin_name() == "shapegroup")
     reference = mi.Properties.Type.ResolvedReference
-    inside = {group[name].index() for group in groups for name in _of_type(group, reference)}
+    inside = {group[name].index() for group in groups for name in of_kind(group, reference)}
     for index, node in enumerate(state.nodes):
         kind, plugin = node.type, node.props.plugin_name()
         # Dictionaries may hold objects that are loaded already.
-        holds_objects = bool(_of_type(node.props, mi.Properties.Type.Object))
+        holds_objects = bool(of_kind(node.props, mi.Properties.Type.Object))
         if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or holds_objects:
             raise ImmovableError(f"a {plugin or 'loaded object'}")
         if kind == mi.ObjectType.BSDF and plugin == "bumpmap" and place.unit != 1:
@@ -143,10 +143,6 @@ def _to_world(properties: Any) -> Array:
     if "to_world" not in properties:
         return np.eye(4)
     return np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-
-
-def _of_type(properties: Any, kind: Any) -> list[str]:
-    return [name for name in properties.keys() if properties.type(name) == kind]  # noqa: SIM118
 
 
 @dataclass(frozen=True)
@@ -265,7 +261,7 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
     nodes = {
-        key: state.nodes[root[key].index()] for key in _of_type(root, mi.Properties.Type.ResolvedReference)
+        key: state.nodes[root[key].index()] for key in of_kind(root, mi.Properties.Type.ResolvedReference)
     }
     held = {key: root[key] for key, node in nodes.items() if node.props.id() in apart}
     # Mitsuba 3.9.1 crashes where there is no shape to merge.

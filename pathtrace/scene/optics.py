@@ -42,21 +42,23 @@ class Optics:
     def of(scene: Any, sensor: Any, camera: Camera, hides_emitters: bool) -> Optics:
         """Those of a Mitsuba scene with a sensor, whose camera is given as well."""
         medium = sensor.get_medium()
-        has_media = medium is not None or any(map(_matters, filter(has_medium, seen_shapes(scene))))
+        has_media = medium is not None or any(
+            shape.is_medium_transition() and _matters(shape) for shape in seen_shapes(scene)
+        )
         return Optics(hides_emitters, clipping_planes(scene, sensor, camera), medium, has_media)
 
     @property
     def text(self) -> str:
         """What fingerprints cover, empty if all is as in most scenes."""
-        plain = not self.hides_emitters and self.clips is None and not self.has_media
-        return "" if plain else f" hides {self.hides_emitters} clips {self.clips} media {self.has_media}"
+        seen = f" hides {self.hides_emitters} clips {self.clips} media {self.has_media}"
+        return "" if self == Optics() else seen
 
 
 def clipping_planes(scene: Any, sensor: Any, camera: Camera) -> tuple[float, float] | None:
     """Depths of a sensor's clipping planes, if its file has any that cut something off the scene.
 
-    The near one does if the sensor's own camera sees something in front of it.
-    Mitsuba's own planes, which sensors have by default, count as none: scenes of any size are seen whole.
+    The near one does if the sensor's own camera sees something in front of it. Mitsuba's own planes, which
+    sensors have by default, count as none: scenes of any size are seen whole.
     """
     near, far = float(sensor.near_clip()), float(sensor.far_clip())
     if near == np.float32(_NEAR_CLIP) and far == np.float32(_FAR_CLIP):
@@ -72,11 +74,6 @@ def clipping_planes(scene: Any, sensor: Any, camera: Camera) -> tuple[float, flo
     rays = mi.Ray3f(mi.Point3f(camera.position), mi.Vector3f(ways))
     depth = scene.ray_intersect_preliminary(rays).t.numpy()
     return (near, far) if (depth < near).any() else None
-
-
-def has_medium(shape: Any) -> bool:
-    """Whether a Mitsuba shape has a participating medium on one side."""
-    return bool(shape.is_medium_transition())
 
 
 def _matters(shape: Any) -> bool:

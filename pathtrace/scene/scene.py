@@ -26,7 +26,7 @@ from pathtrace.scene.loading import (
 )
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
-from pathtrace.scene.optics import Optics, has_medium
+from pathtrace.scene.optics import Optics
 from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.scene_xml import (
     SceneDescription,
@@ -64,6 +64,13 @@ def scene_file(source: str | Path) -> Path:
         raise UserError(f"{source}: no such scene; name one of {', '.join(bundled)} or a Mitsuba XML file")
     # Not where links lead: the files that it names lie beside the link.
     return path.absolute()
+
+
+def xml_of(source: str | Path) -> tuple[Path, str | None]:
+    """The XML file of a scene; of one that is XML text, a file that might hold it, and the text."""
+    if isinstance(source, str) and source.lstrip().startswith("<"):
+        return Path("text.xml").absolute(), source
+    return scene_file(source), None
 
 
 def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
@@ -215,9 +222,8 @@ def load_scene(
 
     Raises:
         UserError: the scene is missing, refused by Mitsuba, has no perspective camera, none of that id or no
-            light, has no
-            panes of the thin glass that is asked for, or is too small or too far from the origin for Mitsuba
-            and cannot be moved or scaled; or its motion is damaged, or not of this scene.
+            light, has no panes of the thin glass that is asked for, or is too small or too far from the
+            origin for Mitsuba and cannot be moved or scaled; or its motion is damaged, or not of this scene.
     """
     with _LOADING:
         return _loaded(source, max_depth, thin_glass, motion, sensor)
@@ -266,8 +272,12 @@ def _loaded(
     if moves is not None:
         moving = MovingScene(instanced or ordered, moves, names, place, name)
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
-    scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
-    scene = replace(scene, optics=optics, left_out=left_out, instanced=instanced)
+    scene = Scene(
+        *(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving),
+        optics=optics,
+        left_out=left_out,
+        instanced=instanced,
+    )
     return scene if max_depth is None else replace(scene.at_depth(max_depth), keeps_depth=True)
 
 
@@ -281,13 +291,12 @@ def _described(
         hides = any(part.get("hide_emitters") for part in parts)
         description = SceneDescription("", dictionary_fingerprint(source), depth, hides)
         return Source("dictionary", balanced_dictionary(source)), "dictionary", description, motion
-    is_text = isinstance(source, str) and source.lstrip().startswith("<")
-    path = Path("text.xml").absolute() if is_text else scene_file(source)
+    path, text = xml_of(source)
     name = scene_name(path.parent.name if path.stem == "scene" else path.stem, "scene")
-    description = read_description(path, str(source) if is_text else None)
-    content = Source(name if is_text else str(source), description.text, path.parent)
+    description = read_description(path, text)
+    content = Source(str(source) if text is None else name, description.text, path.parent)
     beside = path.with_suffix(".motion.json")
-    motion = beside if motion is None and not is_text and beside.is_file() else motion
+    motion = beside if motion is None and text is None and beside.is_file() else motion
     return content, name, description, motion
 
 
@@ -305,7 +314,7 @@ def _left_out(loaded: Any, sensor: Any, wanted: str | None, optics: Optics) -> I
         yield f"{len(loaded.sensors())} cameras; {sensor.id()}, the first perspective one, is used"
     if "aperture_radius" in mi.traverse(sensor):
         yield "depth of field is left out; the thin lens counts as a pinhole"
-    if not optics.has_media and any(map(has_medium, loaded.shapes())):
+    if not optics.has_media and any(shape.is_medium_transition() for shape in loaded.shapes()):
         yield "participating media are left out: they take less than a twentieth of the light"
 
 

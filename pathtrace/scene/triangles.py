@@ -12,7 +12,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera
+from compose.camera.camera import Array, Camera, sphere_directions
 
 _SPHERE_RINGS = 24
 _CIRCLE_STEPS = 48
@@ -173,12 +173,3 @@ def _infinite_where_missed(found: Any) -> Array:
     distance = np.asarray(found, dtype=np.float64)
     # Embree marks a miss with the largest distance it was given.
     return np.where(distance >= 1e30, np.inf, distance)
-
-
-def sphere_directions(count: int) -> Array:
-    """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci lattice."""
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    turn = index * np.pi * (1 + 5**0.5)
-    radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)

@@ -16,7 +16,7 @@ from scipy.ndimage import maximum_filter
 from compose.base.errors import UserError, one_line
 from compose.image.colour import Image
 from pathtrace.scene.loading import Source, camera_of_sensor, load_mitsuba, perspective_sensor
-from pathtrace.scene.scene import Scene, scene_file
+from pathtrace.scene.scene import Scene, xml_of
 from pathtrace.scene.scene_xml import read_description
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.traced_images import radiance_image
@@ -135,10 +135,8 @@ def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> Any
     """The Mitsuba scene of a source, with its own integrator or with none; that of dictionaries stays."""
     if isinstance(source, dict):
         return load_mitsuba(Source("dictionary", source))
-    is_text = str(source).lstrip().startswith("<")
-    file = Path("text.xml").absolute() if is_text else scene_file(source)
-    description = read_description(file, str(source) if is_text else None, with_integrator)
-    return load_mitsuba(Source(file.name, description.text, file.parent))
+    file, text = xml_of(source)
+    return load_mitsuba(Source(file.name, read_description(file, text, with_integrator).text, file.parent))
 
 
 def _rendered(scene: Any, sensor: Any, integrator: Any, seed: int) -> Image:

@@ -8,7 +8,6 @@ to the other curve, which is exact where nothing depends on direction.
 
 from __future__ import annotations
 
-import functools
 import json
 import struct
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
+from compose.camera.camera import sphere_directions
 from splat.model.gaussians import (
     Blending,
     Gaussians,
@@ -147,15 +147,6 @@ def _tree(parts: dict[str, NDArray[Any]], colour_space: str) -> dict[str, Any]:
     }
 
 
-@functools.cache
-def _directions() -> Floats:
-    """(D, 3) spread evenly over the sphere (Fibonacci's lattice)."""
-    number = np.arange(_DIRECTIONS) + 0.5
-    z, angle = 1 - 2 * number / _DIRECTIONS, np.pi * (1 + 5**0.5) * number
-    across = np.sqrt(1 - z * z)
-    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
-
-
 def _basis(directions: Floats, count: int) -> torch.Tensor:
     """(D, K) harmonics along directions (D, 3)."""
     columns = [np.broadcast_to(column, len(directions)) for column in sh_basis(count, list(directions.T))]
@@ -165,12 +156,13 @@ def _basis(directions: Floats, count: int) -> torch.Tensor:
 def _turning(turn: Floats, count: int) -> torch.Tensor:
     """(K, K) by which harmonics of what is turned by (3, 3) follow from those before: no degree mixes."""
     # What is seen along a direction was seen along that direction turned back.
-    return torch.linalg.pinv(_basis(_directions(), count)) @ _basis(_directions() @ turn, count)
+    directions = sphere_directions(_DIRECTIONS)
+    return torch.linalg.pinv(_basis(directions, count)) @ _basis(directions @ turn, count)
 
 
 def refitted(sh: torch.Tensor, curve: Callable[[torch.Tensor], torch.Tensor]) -> torch.Tensor:
     """(K, 3, N) harmonics of the colour on another curve: the best ones for all directions together."""
-    basis = _basis(_directions(), len(sh))
+    basis = _basis(sphere_directions(_DIRECTIONS), len(sh))
     back = torch.linalg.pinv(basis)
     found = []
     for part in sh.split(_AT_ONCE, dim=2):

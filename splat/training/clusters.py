@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
+from compose.image.colour import decibels
 from splat.model.gaussians import SH_DC
 from splat.model.layer import Layer
 from splat.model.motion import turned
@@ -34,8 +35,6 @@ _COLOURS = 3
 # Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1,
 # although displays show no more: what spills over from a lamp is seen around it.
 _BRIGHTEST = 4.0
-# Squared errors count as this at least: 120 dB.
-_LEAST_ERROR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ class HitTree:
         """dB of hits in the mean colour of their leaf, on the perceptual scale, with about `count` leaves."""
         found = int(np.searchsorted(self._counts, count, side="right"))
         error = float(self._left[max(found - 1, 0)]) / (len(self._keys) * _COLOURS)
-        return float(-10 * np.log10(max(error, _LEAST_ERROR)))
+        return decibels(error)
 
     def _leaves(self, worth: float) -> Ints:
         """First hit of each leaf, in order."""

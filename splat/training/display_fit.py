@@ -16,6 +16,7 @@ import torch
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera, camera_from_pose, look_at, turned
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
+from compose.image.colour import decibels
 from splat.model.gaussians import Blending, Gaussians, perceptual_from_radiance
 from splat.model.points import rows_of
 from splat.raster.differentiable import render_differentiable, visible
@@ -79,7 +80,7 @@ def fitted_for_display(
             if step >= (1 - _JUDGED) * steps:
                 errors.append(float(difference.detach().clamp(max=1).square().mean()))
         progress(step + 1, steps)
-    psnr = float(-10 * np.log10(np.maximum(np.mean(errors), 1e-12))) if errors else np.inf
+    psnr = decibels(float(np.mean(errors))) if errors else np.inf
     return replace(optimizer.gaussians, blending=Blending.DISPLAY), psnr
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
+from compose.camera.camera import sphere_directions
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
 from splat.model.points import Floats
 
@@ -58,7 +59,7 @@ def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degre
     A direction that no frame shows belongs to the sky if the nearest one that is seen does. Frames show the
     sky in unit directions (M, 3), its linear radiance (M, 3) there, and surfaces in unit directions (N, 3).
     """
-    directions = _sphere(_DIRECTIONS)
+    directions = sphere_directions(_DIRECTIONS)
     distance, near = cKDTree(sky).query(directions, k=np.arange(1, min(_ALIKE, len(sky)) + 1))
     if len(surface):
         # What stands before the sky in one view may not do so in another.
@@ -100,12 +101,3 @@ def rotation_to(normals: NDArray[np.floating]) -> NDArray[np.float64]:
     quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
     quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
     return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-
-
-def _sphere(count: int) -> NDArray[np.float64]:
-    """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci lattice."""
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    turn = index * np.pi * (1 + 5**0.5)
-    radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)

@@ -6,8 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from compose.camera.camera import sphere_directions
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.triangles import Surfaces, sphere_directions
+from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from tests import small
