@@ -78,7 +78,7 @@ def flawed(seed: int) -> Example:
 
 
 def test_blotches_count_more_than_as_much_noise_in_single_pixels():
-    fusion = fit_quickly([flawed(seed) for seed in range(3)], 200)
+    fusion = fit_quickly([flawed(seed) for seed in range(3)], 60)
     weights = fuse(flawed(7).parents, fusion).weights.mean(axis=(0, 1))
     assert weights[2] > 1.3 * weights[1]
 

@@ -78,7 +78,7 @@ def test_a_mixture_that_helps_one_view_only_is_not_shown(useless):
 
 
 def test_a_fitted_network_that_is_better_gets_its_share(monkeypatch):
-    monkeypatch.setattr(module, "TRIAL_ITERATIONS", 120)
+    monkeypatch.setattr(module, "TRIAL_ITERATIONS", 40)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     found = prove([example(seed, 4, SIZE) for seed in range(4)], 0, ignore)
