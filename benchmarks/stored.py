@@ -30,6 +30,7 @@ from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.colmap_layout import write_colmap
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.dataset.posed_layouts import read_posed_folder
+from pathtrace.gltf.document import read_document
 from pathtrace.gltf.gaussians import read_gaussians
 from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
@@ -58,7 +59,9 @@ def stored(gaussians: Gaussians, place: Place, file: Path) -> Gaussians:
         return in_world(load_forest(file).finest, place).all_turning()
     save_gaussians(file, gaussians)
     if file.suffix == ".glb":
-        return concatenated([gaussians_from(**vars(part)) for part in read_gaussians(file, [])])
+        return concatenated(
+            [gaussians_from(**vars(part)) for part in read_gaussians(read_document(file), [])]
+        )
     return load_gaussians(file)
 
 

@@ -13,6 +13,7 @@ from hybrid.cli.progress import progress_bar
 from splat.model.choices import Precision
 
 if TYPE_CHECKING:
+    from pathtrace.gltf.document import Document
     from splat.model.forest import Forest
     from splat.model.gaussians import Gaussians
 
@@ -117,11 +118,15 @@ def import_file(
 
     A glTF file without triangles that has Gaussians (KHR_gaussian_splatting) becomes a forest.
     """
-    is_gltf = source.suffix.lower() in (".glb", ".gltf")
-    gaussians = _of_gltf(source) if is_gltf else None
-    if is_gltf and gaussians is None:
-        _import_scene(source, target, fps, animation)
-        return
+    gaussians = None
+    if source.suffix.lower() in (".glb", ".gltf"):
+        from pathtrace.gltf.document import read_document
+
+        document = read_document(source)
+        gaussians = _of_gltf(document)
+        if gaussians is None:
+            _import_scene(document, target, fps, animation)
+            return
     if fps is not None or animation is not None:
         raise UserError(f"--fps, --animation: only of scenes in .glb and .gltf files; {source} is none")
     from splat.io.compact import compact
@@ -141,30 +146,30 @@ def import_file(
     print(f"{target}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 
 
-def _of_gltf(source: Path) -> Gaussians | None:
-    """The Gaussians of a glTF file; None of one that shows triangles, or none."""
+def _of_gltf(document: Document) -> Gaussians | None:
+    """The Gaussians of a glTF document; None of one that shows triangles, or none."""
     from pathtrace.gltf.gaussians import read_gaussians
     from splat.io.gltf_gaussians import gaussians_from
     from splat.model.gaussians import concatenated
 
     remarks: list[str] = []
-    parts = read_gaussians(source, remarks)
+    parts = read_gaussians(document, remarks)
     try:
         found = [gaussians_from(**vars(part)) for part in parts]
     except ValueError as error:
-        raise UserError(f"{source}: {error}") from error
+        raise document.refused(str(error)) from error
     for remark in remarks:
         print(remark)
     return concatenated(found) if found else None
 
 
-def _import_scene(source: Path, target: Path, fps: float | None, animation: str | None) -> None:
+def _import_scene(document: Document, target: Path, fps: float | None, animation: str | None) -> None:
     """Writes a folder with the scene of a glTF file, and says what it is."""
     o.select("auto")
     from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
 
     with o.option_names("animation", "fps"):
-        found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
+        found = import_gltf(document, target, fps or DEFAULT_FPS, animation)
     moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
     print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
     for remark in found.remarks:

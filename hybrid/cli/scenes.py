@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,6 +34,8 @@ def scenes(
     from pathtrace.scene.scene import bundled_scenes
 
     if scene is not None:
+        # What is left out is among the results.
+        logging.getLogger("hybrid").setLevel(logging.WARNING)
         loaded = o.loaded_scene(scene, sensor=sensor)
         row = _facts(loaded, scene)
         _print_facts(row)
@@ -60,7 +63,8 @@ def _compare(scene: Scene, source: str, sensor: str | None) -> dict[str, Any] | 
         print(f"as {found.by} renders it: {radiance}; no part of {found.parts} differs by more than noise")
     else:
         print(f"not as {found.by} renders it: {radiance}; {found.differing} of {found.parts} parts differ")
-        for cause in found.causes or ("the cause is not known",):
+        unknown = "what is left out may be why" if scene.left_out else "the cause is not known"
+        for cause in found.causes or (unknown,):
             print(f"  {cause}")
     return asdict(found)
 
@@ -86,6 +90,7 @@ def _facts(scene: Scene, file: str) -> dict[str, Any]:
         "triangles": scene.triangles,
         "emitters": len(scene.mitsuba.emitters()),
         "max_depth": scene.max_depth,
+        "left_out": scene.left_out,
         "width": scene.camera.width,
         "height": scene.camera.height,
         "file": file,

@@ -102,21 +102,22 @@ def read_document(file: Path) -> Document:
         tree = parse_json(text.decode("utf-8-sig"))
     except (OSError, ValueError, struct.error) as error:
         raise UserError(f"{file}: cannot be read as glTF ({one_line(error)})") from error
-    asset = tree.get("asset") if isinstance(tree, dict) else None
-    version = asset.get("version") if isinstance(asset, dict) else None
-    if not isinstance(version, str) or version.split(".")[0] != "2":
-        raise UserError(f"{file}: is no glTF 2.0; its asset.version is {one_line(repr(version))}")
-    if unknown := [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]:
-        raise UserError(
-            f"{file}: requires the extension {one_line(str(unknown[0]))}, which is not known here"
-        )
-    try:
-        document = Document(file, _schema()(_mended(tree)), [])
-    except fastjsonschema.JsonSchemaException as error:
-        raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
-    for number, buffer in enumerate(document.section("buffers")):
-        document.buffers.append(_buffer(document, number, buffer, binary))
-    return document
+    with undamaged(file):
+        asset = tree.get("asset") if isinstance(tree, dict) else None
+        version = asset.get("version") if isinstance(asset, dict) else None
+        if not isinstance(version, str) or version.split(".")[0] != "2":
+            raise UserError(f"{file}: is no glTF 2.0; its asset.version is {one_line(repr(version))}")
+        if unknown := [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]:
+            raise UserError(
+                f"{file}: requires the extension {one_line(str(unknown[0]))}, which is not known here"
+            )
+        try:
+            document = Document(file, _schema()(_mended(tree)), [])
+        except fastjsonschema.JsonSchemaException as error:
+            raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
+        for number, buffer in enumerate(document.section("buffers")):
+            document.buffers.append(_buffer(document, number, buffer, binary))
+        return document
 
 
 def _parts(content: bytes) -> tuple[bytes, bytes | None]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from compose.base.errors import one_line
 from compose.camera.camera import Array
 from pathtrace.gltf.animated_nodes import Animation, Nodes
-from pathtrace.gltf.document import GAUSSIANS, Document, read_array, read_document, undamaged
+from pathtrace.gltf.document import GAUSSIANS, Document, read_array, undamaged
 
 _TRIANGLES = 4, 5, 6
 _KERNEL = "ellipse"
@@ -43,14 +42,13 @@ class StoredGaussians:
     is_linear: bool
 
 
-def read_gaussians(file: Path, remarks: list[str]) -> list[StoredGaussians]:
-    """The Gaussians that a file shows, as it stands at rest; none of a file that shows triangles.
+def read_gaussians(document: Document, remarks: list[str]) -> list[StoredGaussians]:
+    """The Gaussians that a document shows, as it stands at rest; none of one that shows triangles.
 
-    All have harmonics of the same degree. Lines for the user are added to the remarks. UserError as of
-    `read_document`, or if Gaussians lack an attribute, or have one that is not as the extension says.
+    All have harmonics of the same degree. Lines for the user are added to the remarks. UserError if
+    Gaussians lack an attribute, or have one that is not as the extension says, or the file is damaged.
     """
-    document = read_document(file)
-    with undamaged(file):
+    with undamaged(document.file):
         found = _shown(document, remarks)
     if found and document.section("animations"):
         remarks.append("Gaussians stand still; animations are left out")

@@ -15,7 +15,7 @@ import numpy as np
 from compose.base.files import whole_folder, write_whole
 from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
-from pathtrace.gltf.document import EXTENSIONS, Document, read_document, undamaged
+from pathtrace.gltf.document import EXTENSIONS, Document, undamaged
 from pathtrace.gltf.lights import Light, brightness, camera, read_lights
 from pathtrace.gltf.materials import Materials, Textures, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
@@ -52,15 +52,17 @@ class Imported:
     remarks: list[str]
 
 
-def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: str | None = None) -> Imported:
-    """Imports a .gltf or .glb file; the folder, which must be missing or empty, appears whole or not at all.
+def import_gltf(
+    document: Document, folder: Path, fps: float = DEFAULT_FPS, animation: str | None = None
+) -> Imported:
+    """Imports a glTF document; the folder, which must be missing or empty, appears whole or not at all.
 
     Meshes that deform are written in `fps` steps of time a second. The animation, by name or number, is the
     one to play; without it, all play that move different things, else the first one. UserError if the file is
     damaged, or needs what is not known here; or the folder cannot be written.
     """
-    with whole_folder(folder, _SCENE) as part, undamaged(file):
-        return _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
+    with whole_folder(folder, _SCENE) as part, undamaged(document.file):
+        return _Import(document, part, fps, animation).run(folder / _SCENE)
 
 
 class _Import:

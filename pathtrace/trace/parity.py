@@ -41,7 +41,7 @@ class Parity:
         theirs, ours: mean radiance of Mitsuba's own picture, and of the one here.
         parts: number of parts that were compared: blocks, and the whole picture.
         differing: number of those that differ by more than noise.
-        causes: what may make them differ, a line each.
+        causes: what may make them differ besides what the scene leaves out, a line each.
         by: what rendered their picture.
     """
 
@@ -66,7 +66,7 @@ def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None
     Raises:
         UserError: Mitsuba cannot render the scene.
     """
-    causes, integrator, by = list(scene.left_out), None, "Mitsuba"
+    causes, integrator, by = list[str](), None, "Mitsuba"
     if scene.moving is not None:
         causes.append("what moves is as its motion file has it at the beginning, not as in the scene's file")
     try:

@@ -26,6 +26,7 @@ from pathtrace.dataset.colmap_model import ModelPoints, read_model, write_model
 from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
 from pathtrace.dataset.posed_images import read_pixels
 from pathtrace.dataset.posed_layouts import read_posed_folder
+from pathtrace.gltf.document import read_document
 from pathtrace.gltf.gaussians import read_gaussians
 from pathtrace.gltf.importing import import_gltf
 from pathtrace.region.camera_path import read_path
@@ -149,11 +150,11 @@ def _gltf(path: Path) -> None:
 def _import(path: Path) -> None:
     folder = path.parent / "imported"
     shutil.rmtree(folder, ignore_errors=True)
-    import_gltf(path, folder, fps=2)
+    import_gltf(read_document(path), folder, fps=2)
 
 
 def _splats(path: Path) -> None:
-    parts = read_gaussians(path, [])
+    parts = read_gaussians(read_document(path), [])
     try:
         for part in parts:
             gaussians_from(**vars(part))

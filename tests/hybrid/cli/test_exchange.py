@@ -15,6 +15,7 @@ from hybrid.cli.exchange import export_file, import_file
 from hybrid.render.forest_attachments import views_of
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.dataset.posed_layouts import read_posed_folder
+from pathtrace.gltf import document
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.ply import load_ply
@@ -113,7 +114,10 @@ def test_a_gltf_file_in_which_nothing_moves_says_so(monkeypatch, tmp_path, capsy
     building = Building()
     bending_tube(building)
     del building.tree["animations"]
+    parsed, parse = [], document.parse_json
+    monkeypatch.setattr(document, "parse_json", lambda text: parsed.append(text) or parse(text))
     assert run(monkeypatch, "import", building.save(tmp_path / "a.gltf"), tmp_path / "still") == 0
+    assert len(parsed) == 1
     assert "; nothing moves\n" in capsys.readouterr().out
     assert not (tmp_path / "still/scene.motion.json").exists()
 

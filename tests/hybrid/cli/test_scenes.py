@@ -11,6 +11,11 @@ from hybrid.cli.doctor import doctor
 from hybrid.cli.scenes import scenes
 from tests.hybrid.command import run
 
+LENS = """<scene version="3.0.0"><emitter type="constant"/>
+<integrator type="path"><integer name="max_depth" value="8"/></integrator>
+<sensor type="thinlens"><float name="aperture_radius" value="{}"/><float name="focus_distance" value="9"/>
+<film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/></film></sensor>
+<shape type="sphere"><point name="center" x="0" y="0" z="3"/><bsdf type="diffuse"/></shape></scene>"""
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 
@@ -41,6 +46,21 @@ def test_the_newest_forest_of_a_scene_is_named(made, monkeypatch, capsys, tmp_pa
     shown = capsys.readouterr().out
     layers = " + ".join(f"{count:,}" for count in row["nodes_per_layer"])
     assert f"forest {row['forest']}: {row['trees']:,} trees, layers of {layers} nodes" in shown
+
+
+@pytest.mark.parametrize(("radius", "differs"), [(1e-4, False), (0.5, True)])
+def test_what_a_scene_leaves_out_is_said_once(radius, differs, monkeypatch, capsys, tmp_path):
+    (tmp_path / "lens.xml").write_text(LENS.format(radius))
+    assert run(monkeypatch, "scenes", tmp_path / "lens.xml", "--json", tmp_path / "s.json") == 0
+    shown, remark = capsys.readouterr(), "depth of field is left out; the thin lens counts as a pinhole"
+    assert shown.err == ""
+    assert shown.out.count("depth of field") == 1
+    assert shown.out.splitlines()[1] == remark
+    assert ("\n  what is left out may be why\n" in shown.out) == differs
+    found = json.loads((tmp_path / "s.json").read_text())
+    assert found["left_out"] == [remark]
+    assert found["parity"]["causes"] == []
+    assert (found["parity"]["differing"] > 0) == differs
 
 
 def test_the_doctor_says_what_runs(monkeypatch, capsys, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from pathtrace.gltf.document import read_document
 from pathtrace.gltf.gaussians import read_gaussians
 from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, quaternion
 
@@ -49,7 +50,7 @@ def test_all_attributes_are_read(tmp_path, suffix, count):
     building.node(mesh=splats(building, count), scale=[2, 2, 2])
     building.tree["scenes"] = [{"nodes": [parent]}]
     remarks: list[str] = []
-    (found,) = read_gaussians(building.save(tmp_path / f"a{suffix}"), remarks)
+    (found,) = read_gaussians(read_document(building.save(tmp_path / f"a{suffix}")), remarks)
     assert remarks == []
     assert np.array_equal(found.to_world, [[2, 0, 0, 1], [0, 2, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]])
     for ours, expected in (
@@ -67,7 +68,7 @@ def test_integers_stand_for_fractions_or_themselves(tmp_path):
     opacities = building.array([0, 51, 255], "uint8", normalized=True)
     scales = building.array(np.full((3, 3), 5), "uint16")
     building.node(mesh=splats(building, ROTATION=turns, OPACITY=opacities, SCALE=scales))
-    (found,) = read_gaussians(building.save(tmp_path / "a.glb"), [])
+    (found,) = read_gaussians(read_document(building.save(tmp_path / "a.glb")), [])
     assert found.opacities == pytest.approx([0, 0.2, 1])
     assert np.array_equal(found.scales, np.full((3, 3), 5))
     assert found.rotations[2] == pytest.approx(np.array([0, -64, 64, 0]) / 32767)
@@ -77,7 +78,7 @@ def test_parts_of_several_degrees_have_the_largest(tmp_path):
     building = Building()
     building.node(mesh=splats(building, 1, {**DESCRIBED, "colorSpace": "lin_rec709_display"}))
     building.node(mesh=splats(building, 9), rotation=quaternion((0, 0, 1), 90))
-    one, other = read_gaussians(building.save(tmp_path / "a.glb"), [])
+    one, other = read_gaussians(read_document(building.save(tmp_path / "a.glb")), [])
     assert (one.is_linear, other.is_linear) == (True, False)
     assert one.sh.shape == other.sh.shape == (3, 9, 3)
     assert not one.sh[:, 1:].any()
@@ -89,7 +90,7 @@ def test_what_is_shown_otherwise_is_said(tmp_path):
     node = building.node(mesh=splats(building, 1, {"kernel": "cube", "colorSpace": "aces"}))
     building.animation((node, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]], "LINEAR"))
     remarks: list[str] = []
-    assert len(read_gaussians(building.save(tmp_path / "a.glb"), remarks)) == 1
+    assert len(read_gaussians(read_document(building.save(tmp_path / "a.glb")), remarks)) == 1
     assert remarks == [
         "meshes[0].primitives[0] is of the kernel cube, and is shown as ellipse",
         "meshes[0].primitives[0] has the colour space aces, and is read as sRGB",
@@ -101,7 +102,7 @@ def test_a_file_with_triangles_is_a_scene(tmp_path):
     building = Building()
     building.node(mesh=splats(building))
     building.node(mesh=building.mesh(QUAD, QUAD_FACES))
-    assert read_gaussians(building.save(tmp_path / "a.glb"), []) == []
+    assert read_gaussians(read_document(building.save(tmp_path / "a.glb")), []) == []
 
 
 REFUSED = {
@@ -128,5 +129,5 @@ def test_what_is_not_as_the_extension_says_is_refused(tmp_path, name):
     for accessor in building.tree["accessors"]:
         accessor.pop("min"), accessor.pop("max")
     with pytest.raises(UserError, match=message) as refused:
-        read_gaussians(building.save(tmp_path / "a.glb"), [])
+        read_gaussians(read_document(building.save(tmp_path / "a.glb")), [])
     assert "\n" not in str(refused.value)

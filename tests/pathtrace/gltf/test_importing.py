@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from pathtrace.gltf.document import read_document
 from pathtrace.gltf.importing import import_gltf
 from pathtrace.scene.scene import load_scene
 from tests.pathtrace.gltf.building import (
@@ -33,7 +34,7 @@ TIMES = (0.0, 0.3, 0.5, 0.85, 1.0)
 
 def imported(building, folder, **options):
     """A file, imported and loaded; what was said of it."""
-    found = import_gltf(building.save(folder / "a.glb"), folder / "scene", **options)
+    found = import_gltf(read_document(building.save(folder / "a.glb")), folder / "scene", **options)
     return load_scene(found.scene.parent), found
 
 
@@ -84,7 +85,7 @@ def test_a_folder_that_is_there_stays_and_so_do_links_to_it(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path / "here")
     for folder, place in ((Path(), tmp_path / "here"), (tmp_path / "link", tmp_path / "disk")):
         before = place.stat().st_ino
-        import_gltf(file, folder)
+        import_gltf(read_document(file), folder)
         assert place.stat().st_ino == before
         assert (place / "scene.xml").is_file()
         assert not [one for one in place.iterdir() if one.name.startswith(".")]
@@ -103,7 +104,7 @@ def test_files_may_be_links_named_as_windows_does_and_animations_empty(tmp_path)
     (tmp_path / "scene" / "data" / "a b.bin").symlink_to(tmp_path / "store")
     tree["buffers"][0]["uri"] = "data\\a b.bin"
     (tmp_path / "scene" / "a.gltf").write_text(json.dumps(tree))
-    found = import_gltf(tmp_path / "scene" / "a.gltf", tmp_path / "out")
+    found = import_gltf(read_document(tmp_path / "scene" / "a.gltf"), tmp_path / "out")
     assert (found.triangles, found.seconds) == (2, 0)
 
 
@@ -243,7 +244,7 @@ def test_weights_that_nothing_moves_are_those_of_the_node(tmp_path):
     mesh = building.mesh(QUAD, QUAD_FACES, [lift], weights=[0.25])
     building.node(mesh=mesh, name="own", weights=[0.5])
     building.node(mesh=mesh, name="default", translation=[3, 0, 0])
-    import_gltf(building.save(tmp_path / "a.gltf"), tmp_path / "scene")
+    import_gltf(read_document(building.save(tmp_path / "a.gltf")), tmp_path / "scene")
     for name, height in (("own", 0.5), ("default", 0.25)):
         shape = mi.load_dict({"type": "ply", "filename": str(tmp_path / f"scene/meshes/{name}.ply")})
         positions = np.reshape(mi.traverse(shape)["vertex_positions"].numpy(), (-1, 3))
@@ -452,7 +453,7 @@ def test_faces_and_normals_point_outwards_however_a_node_mirrors(tmp_path, scale
     building = Building()
     normals = building.array(BOX / np.sqrt(3))
     building.node(mesh=building.mesh(BOX, BOX_FACES, NORMAL=normals), name="box", scale=list(scale))
-    import_gltf(building.save(tmp_path / "a.glb"), tmp_path / "scene")
+    import_gltf(read_document(building.save(tmp_path / "a.glb")), tmp_path / "scene")
     shape = mi.traverse(mi.load_dict({"type": "ply", "filename": str(tmp_path / "scene/meshes/box.ply")}))
     points, written = (
         np.reshape(shape[f"vertex_{kind}"].numpy(), (-1, 3)) for kind in ("positions", "normals")
@@ -470,7 +471,7 @@ def test_strips_and_fans_are_triangles(tmp_path):
     building.node(mesh=building.mesh(zigzag, range(5), mode=5), name="strip")
     building.node(mesh=building.mesh(QUAD, range(4), mode=6), name="fan")
     building.node(mesh=building.mesh(QUAD, range(4), mode=1), name="lines")
-    found = import_gltf(building.save(tmp_path / "a.glb"), tmp_path / "scene")
+    found = import_gltf(read_document(building.save(tmp_path / "a.glb")), tmp_path / "scene")
     assert found.triangles == 5
     assert any("points or lines" in line for line in found.remarks)
     for name in ("strip", "fan"):
@@ -492,7 +493,7 @@ def test_animations_that_move_different_things_play_together(tmp_path):
     assert (found.rigid, found.seconds) == (2, 2)
     np.testing.assert_allclose(vertices(scene, "a", 0.5), BOX + np.array([0, 1, 0]), atol=1e-5)
     np.testing.assert_allclose(vertices(scene, "b", 0.5), BOX + np.array([4, 0.5, 0]), atol=1e-5)
-    chosen = import_gltf(tmp_path / "a.glb", tmp_path / "chosen", animation="second")
+    chosen = import_gltf(read_document(tmp_path / "a.glb"), tmp_path / "chosen", animation="second")
     assert (chosen.rigid, chosen.seconds) == (1, 2)
 
 
@@ -504,7 +505,7 @@ def test_of_animations_that_move_the_same_the_first_one_plays(tmp_path):
     scene, found = imported(building, tmp_path)
     assert "the animation walk plays; --animation chooses from walk, run" in found.remarks
     np.testing.assert_allclose(vertices(scene, "box", 1), BOX + np.array([1, 0, 0]), atol=1e-5)
-    import_gltf(tmp_path / "a.glb", tmp_path / "running", animation="run")
+    import_gltf(read_document(tmp_path / "a.glb"), tmp_path / "running", animation="run")
     np.testing.assert_allclose(
         vertices(load_scene(tmp_path / "running"), "box", 1), BOX + np.array([2, 0, 0]), atol=1e-5
     )
@@ -515,6 +516,6 @@ def test_shapes_have_names_of_their_own(tmp_path):
     mesh = building.mesh(BOX, BOX_FACES)
     for name in ("box", "Box", "box", "camera", "../$x", ""):
         building.node(mesh=mesh, name=name)
-    import_gltf(building.save(tmp_path / "a.glb"), tmp_path / "scene")
+    import_gltf(read_document(building.save(tmp_path / "a.glb")), tmp_path / "scene")
     files = sorted(file.name for file in (tmp_path / "scene/meshes").iterdir())
     assert files == sorted(["box.ply", "Box_2.ply", "box_3.ply", "camera_2.ply", "x.ply", "node5.ply"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from pathtrace.gltf.document import read_document
 from pathtrace.gltf.importing import import_gltf
 from tests.extremes import extreme
 from tests.pathtrace.gltf.building import BOX, BOX_FACES, QUAD, QUAD_FACES, Building, bending_tube
@@ -27,7 +28,7 @@ def refusal(file, folder, **options):
     """What the import says; nothing may be left behind."""
     before = sorted(folder.iterdir())
     with pytest.raises(UserError) as error:
-        import_gltf(file, folder / "scene", **options)
+        import_gltf(read_document(file), folder / "scene", **options)
     assert sorted(folder.iterdir()) == before
     message = str(error.value)
     assert "\n" not in message
@@ -40,6 +41,7 @@ CHANGES = {
         lambda t: t.update(extensionsRequired=["KHR_draco_mesh_compression"]),
         "requires the extension KHR_draco_mesh_compression, which is not known here",
     ),
+    "required": (lambda t: t.update(extensionsRequired=5), "is damaged (TypeError"),
     "schema": (lambda t: t["nodes"][0].update(rotation=[0, 0, 1]), "nodes[0].rotation must contain"),
     "mesh": (lambda t: t["nodes"][0].update(mesh=7), "nodes[0] refers to meshes[7]; there are 1"),
     "channel": (
@@ -125,7 +127,7 @@ def test_buffers_may_be_files(tmp_path):
     (tmp_path / "a b.bin").write_bytes(building.content)
     tree["buffers"][0]["uri"] = "a%20b.bin"
     file.write_text(json.dumps(tree))
-    assert import_gltf(file, tmp_path / "scene").rigid == 1
+    assert import_gltf(read_document(file), tmp_path / "scene").rigid == 1
 
 
 @pytest.mark.parametrize(
@@ -198,7 +200,7 @@ def test_degenerate_meshes_are_left_out(tmp_path, got):
         building.node(mesh=building.mesh(vertices, faces))
     broken = building.view(np.full((4, 3), np.nan, "<f4").tobytes())
     building.tree["accessors"][-2].update(bufferView=broken)
-    found = import_gltf(building.save(tmp_path / "a.gltf"), tmp_path / "scene")
+    found = import_gltf(read_document(building.save(tmp_path / "a.gltf")), tmp_path / "scene")
     assert found.triangles == len(BOX_FACES)
     assert got("; ".join(found.remarks[:2])) == (
         "meshes[0].primitives[0] has no triangle with an area, and is left out; "
@@ -238,5 +240,5 @@ def test_what_has_no_size_at_first_deforms(tmp_path, got):
     building = Building()
     node = building.node(mesh=building.mesh(BOX, BOX_FACES))
     building.animation((node, "scale", [0, 1], [[0, 0, 0], [2, 2, 2]], "LINEAR"))
-    found = import_gltf(building.save(tmp_path / "a.glb"), tmp_path / "scene")
+    found = import_gltf(read_document(building.save(tmp_path / "a.glb")), tmp_path / "scene")
     assert got(found.deforming) == 1
