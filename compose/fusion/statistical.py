@@ -18,8 +18,8 @@ from compose.fusion.features import texture_of
 from compose.fusion.parents import box_mean, enlarged, halved
 
 # Logarithm of the odds of denoised samples against splats, for each channel of `evidence`. With a slight
-# penalty on their size, they make the mean of log(0.1 + r) least in 251 discs, where r is the squared error of
-# `perceived` radiance as a share of the lesser one of both, the noise of the references taken off: two views
+# penalty on their size, they make the mean of log(0.1 + r) small in 251 discs, where r is the squared error
+# of `perceived` radiance as a share of the lesser one of both, without the noise of the references: two views
 # each of eight forests of six scenes (three rooms, two groves, and a stage under trusses), with 1 to 32
 # samples per pixel, of single frames, of still views and of walks.
 ODDS = {"even": 0.23, "removed": -0.63, "apart": 0.89, "along": 1.17, "doublings": 0.56, "quick": -0.37}
