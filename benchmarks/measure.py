@@ -26,6 +26,14 @@ STAIRCASE = "staircase2/scene.xml"
 # What requires this forest requires `prepare-room`, which makes it.
 _FRAMES = "--forest room.forest"
 _PREPARED = "hybrid prepare {0}/scene.xml -o {0}.forest --held-out 4 --minutes 1 --seed 5"
+# Scenes on which the placement of paths is compared, and their forests, which `prepare` makes.
+_PLACED = {
+    "room": ("room", "room"),
+    "staircase2": ("STAIRCASE", "staircase2"),
+    "room-moving": ("room-moving", "moving"),
+    **{name: (f"{name}/scene.xml", name) for name in SCENES},
+}
+_PATHS = "hybrid sweep {0} --over paths --size 640 480 --repeats 9 --forest {1}.forest"
 # Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
 # folder; STAIRCASE stands for the scene file of staircase2, VISION for the folder of data about people's
 # vision; the scenes of `benchmarks.hard_scenes` lie in the working folder as well.
@@ -39,6 +47,7 @@ MEASUREMENTS = {
     "resolution": f"hybrid sweep room --over resolution --repeats 9 {_FRAMES}",
     "radius": f"hybrid sweep room --over radius --repeats 5 {_FRAMES}",
     "denoiser": f"hybrid sweep room --over denoiser --size 512 512 {_FRAMES}",
+    **{f"paths-{name}": _PATHS.format(*placed) for name, placed in _PLACED.items()},
     "evaluation": f"hybrid evaluate room --report report --views 3 --repeats 40 {_FRAMES}",
     "periphery": f"hybrid bench periphery room {_FRAMES}",
     "window": f"hybrid demo room --bench 20 {_FRAMES}",

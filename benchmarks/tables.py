@@ -158,6 +158,23 @@ def denoiser() -> str:
     return _with_provenance(markdown(header, rows), "denoiser")
 
 
+def paths() -> str:
+    """Time and quality of the whole frame by where paths are traced, on each scene."""
+    names = [path.stem for path in sorted(DATA.glob("paths-*.json"))]
+    rows = []
+    for name in names:
+        found = result(name)["rows"]
+        for disc, cells in zip(found[::2], found[1::2], strict=True):
+            both = [
+                f"{row['ms']['p50']:.0f} ms, {row['quality']['whole psnr']:.2f} dB, "
+                f"{row['quality']['whole jod']:.2f} JOD"
+                for row in (disc, cells)
+            ]
+            rows.append([name.removeprefix("paths-"), str(disc["spp"]), *both])
+    header = ["scene", "spp", "in the disc", "where they are needed"]
+    return _with_provenance(markdown(header, rows), names[0])
+
+
 _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
 # Decibels from which on pictures count as the same.
 _EXACT = 119.0
@@ -441,7 +458,7 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
     *(_periphery, _integrator, _registration, _rasterizer, _card),
 )
 _MADE = (
-    *(headlines, quickstart, resolution, radius, denoiser, evaluation, integrators),
+    *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators),
     *(periphery, acuity, frames, raster, window, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {

@@ -162,6 +162,20 @@ def detail_map(
     return DetailMap(width, height, count, angle.astype(np.float32), resolved, low_pass, steps, index)
 
 
+def resolved_share(
+    display: Display, gaze: Gaze, width: int, height: int, acuity_model: AcuityModel
+) -> NDArray[np.float32]:
+    """(rows, columns) how much of what the pixels of each cell can hold a viewer resolves, 0..1.
+
+    Of all frequencies up to that of the pixels, those up to the cut-off; args as in `detail_map`.
+    """
+    per_degree, rays = _corners(display, width, height)
+    ray = display.viewer(width, height).rays(np.array([gaze.pixel(width, height)]))[0]
+    angle = np.degrees(np.arccos(np.clip(rays @ ray, -1, 1)))
+    share = np.square(np.minimum(acuity_model.cutoff(angle) / (per_degree * _NYQUIST), 1))
+    return (0.25 * (share[1:, 1:] + share[1:, :-1] + share[:-1, 1:] + share[:-1, :-1])).astype(np.float32)
+
+
 def _gaze_ray_and_edge(
     display: Display, gaze: Gaze, width: int, height: int, radius: float
 ) -> tuple[NDArray[np.float64], float]:

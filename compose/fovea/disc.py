@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays, uploaded
 from compose.base.traced_samples import Counts
 from compose.fovea.foveation import FoveaRegion
+from compose.fovea.tiling import Tiling
 from compose.image.device_image import Box, DeviceImage, shape_of
 
 # Steps of a dither mask per column and row, in units of 2 ** -32, that leave no clumps or stripes: the
@@ -30,10 +31,11 @@ class Disc:
 
     Attributes:
         width, height: frame in pixels.
-        pixels: UInt (D,), row-major indices, ascending.
+        pixels: UInt (D,), row-major indices, each once.
         weights: Float (D,), weight of the path-traced radiance in each of them, 0..1; it is 0 in all others.
         box: the rectangle around the pixels; None if there are none, or no image is made of them.
         covers_frame: whether the pixels are all of the frame and all weights are 1.
+        tiling: how the image is made of pixels scattered over the frame; None if it is the rectangle.
     """
 
     arrays: Arrays
@@ -43,6 +45,7 @@ class Disc:
     weights: Any
     box: Box | None
     covers_frame: bool = False
+    tiling: Tiling | None = None
 
     @staticmethod
     def in_region(arrays: Arrays, region: FoveaRegion) -> Disc:
@@ -65,14 +68,18 @@ class Disc:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(h, w), rows and columns of the rectangle."""
-        assert self.box is not None, "a disc without pixels has no rectangle"
-        return shape_of(self.box)
+        """(h, w), rows and columns of the image that is made of the pixels."""
+        assert self.box is not None, "a disc without pixels has no image"
+        return shape_of(self.box) if self.tiling is None else self.tiling.shape
 
     @cached_property
     def inside(self) -> Any:
-        """UInt (D,), index of each pixel among those of the rectangle, row by row."""
-        assert self.box is not None, "a disc without pixels has no rectangle"
+        """UInt (D,), index of each pixel among those of the image, row by row."""
+        assert self.box is not None, "a disc without pixels has no image"
+        if self.tiling is not None:
+            index, _ = self.tiling.index(*self.arrays.rows_columns(self.pixels, self.width))
+            dr.eval(index)
+            return index
         numbers = [self.box[0].start, self.box[1].start, self.shape[1]]
         top, left, across = self.arrays.scalars(self.arrays.plain.UInt, numbers)
         row, column = self.arrays.rows_columns(self.pixels, self.width)
@@ -82,16 +89,28 @@ class Disc:
 
     @cached_property
     def _slots(self) -> Any:
-        """Int (h * w,), which of the disc's pixels each pixel of the rectangle is; -1 outside the disc."""
+        """Int (h * w,), which of the disc's pixels each pixel of the image shows; -1 outside the disc."""
         plain, size = self.arrays.plain, self.shape[0] * self.shape[1]
         slots = dr.full(plain.Int, -1, size)
         own = plain.Int(dr.arange(plain.UInt, self.count))
         dr.scatter(slots, own, self.inside, mode=dr.ReduceMode.Permute)
         dr.eval(slots)
+        if self.tiling is not None:
+            # The border of a tile shows what cells beside it have.
+            index, known = self.tiling.index(*self.tiling.pixels)
+            slots = dr.select(known, dr.gather(plain.Int, slots, index, known), -1)
+            dr.eval(slots)
         return slots
 
+    def of_frame(self, image: DeviceImage) -> list[Any]:
+        """Three Floats (h * w,), the radiance that an image of the frame has in the pixels of this one."""
+        if self.tiling is not None:
+            return image.at(*self.tiling.pixels)
+        assert self.box is not None, "a disc without pixels has no image"
+        return image.of_box(self.box)
+
     def images(self, channels: list[Any], grounds: list[Any]) -> list[Any]:
-        """Floats (h * w,) of the rectangle, not evaluated: channels (D,) in the disc, grounds elsewhere."""
+        """Floats (h * w,) of the image, not evaluated: channels (D,) in the disc, grounds elsewhere."""
         # At once: looked up one by one, each would take a kernel of its own.
         dr.eval(channels)
         inside = self._slots >= 0
@@ -102,7 +121,7 @@ class Disc:
         ]
 
     def tensor(self, image: list[Any]) -> Any:
-        """(h, w, 3) tensor of an image of the rectangle, three Floats (h * w,)."""
+        """(h, w, 3) tensor of the image, three Floats (h * w,)."""
         plain = self.arrays.plain
         return plain.TensorXf(dr.ravel(plain.Array3f(*image)), (*self.shape, 3))
 

@@ -37,6 +37,13 @@ class FoveaMode(Enum):
     FUSED = "fused"  # one estimate from samples, denoised samples and the splats under the disc
 
 
+class Placement(Enum):
+    """Where in a frame paths are traced."""
+
+    DISC = "disc"  # around the gaze
+    WHERE_NEEDED = "where-needed"  # in the cells of the frame in which splats are visibly wrong
+
+
 @dataclass(frozen=True)
 class Foveation:
     """Where the viewer looks and how large the fovea is; UserError if a radius is out of its range.

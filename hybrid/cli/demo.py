@@ -23,6 +23,7 @@ def demo(
     fov_a: o.FovA = INTERACTIVE.fov_a,
     fov_b: o.FovB = INTERACTIVE.fov_b,
     spp: o.Spp = INTERACTIVE.spp,
+    paths: o.Paths = INTERACTIVE.paths.value,
     acuity_model: o.AcuityModelName = INTERACTIVE.acuity_model,
     integrator: o.IntegratorName = None,
     target: Annotated[
@@ -72,12 +73,19 @@ def demo(
     backend: o.Backend = "auto",
     json_file: o.Json = None,
 ) -> None:
-    """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
+    """Look around in a window: the mouse is the gaze, and what is path-traced follows it."""
     o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
     settings = FrameSettings(
-        INTERACTIVE.gaze, fov_a, fov_b, spp, acuity_model=acuity_model, display=display, integrator=integrator
+        INTERACTIVE.gaze,
+        fov_a,
+        fov_b,
+        spp,
+        acuity_model=acuity_model,
+        display=display,
+        integrator=integrator,
+        paths=paths,
     )
     o.check_writable(out / "picture.png")
     if gaze_trace is not None and simulate:

@@ -88,6 +88,13 @@ Fovea = Annotated[
         "where the plan expects negligible noise, else fused."
     ),
 ]
+Paths = Annotated[
+    str,
+    frame(
+        help="disc: around the gaze; where-needed: as many, in cells all over the frame where the forest "
+        "expects the most visible errors."
+    ),
+]
 IntegratorName = Annotated[
     str | None,
     frame(

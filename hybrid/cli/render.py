@@ -14,7 +14,7 @@ from compose.base.files import read_json
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import camera_from_json
 from compose.eye.gaze import MOST_SECONDS, AngularTrace, GazeTrace, load_gaze_trace
-from compose.fovea.foveation import FoveaMode
+from compose.fovea.foveation import FoveaMode, Placement
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.cli.render_frames import (
@@ -76,6 +76,7 @@ def render(
     spp: o.Spp = DEFAULTS.spp,
     size: o.Size = None,
     fovea: o.Fovea = None,
+    paths: o.Paths = DEFAULTS.paths.value,
     integrator: o.IntegratorName = None,
     target_ms: Annotated[
         float | None,
@@ -151,15 +152,13 @@ def render(
         display=display,
         integrator=integrator,
         time=time or DEFAULTS.time,
+        paths=paths,
     )
     _check_layers(layers)
     _check_outputs(output, detail, eyes, gaze_trace is not None or is_path)
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
-        # Nothing that could be chosen for a target is measured with these.
-        for option, value in (("--layers", layers), ("--max-depth", max_depth)):
-            if value is not None:
-                raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+        _check_measured(settings, max_depth)
     o.select(backend)
     if is_folder:
         from pathtrace.dataset.posed_layouts import read_posed_folder
@@ -176,7 +175,6 @@ def render(
             facts = render_splats(output, detail, eyes, splats, settings)
         o.write_json(json_file, {"scene": images.scene_name, **facts})
         return
-    from hybrid.preparation.decisions import DENOISING, RAW
     from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, max_depth, thin_glass, sensor)
@@ -188,8 +186,7 @@ def render(
     target = TradeTarget(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
     loaded, found = with_forest(loaded, forest, progress_bar)
-    if fovea is None and loaded.plan.get(DENOISING) == RAW:
-        settings = replace(settings, fovea=FoveaMode.RAW)
+    settings = _with_fovea(settings, loaded, fovea)
     settings = target.applied(loaded, found, replace(settings, camera=own))
     # Refused before anything is filled.
     settings.layers_of(len(found.counts))
@@ -201,6 +198,29 @@ def render(
             output, loaded, found, settings, trace.on(settings.display, *pixels), fps or _FPS, seed
         )
     o.write_json(json_file, facts)
+
+
+def _check_measured(settings: FrameSettings, max_depth: int | None) -> None:
+    """Refuses a target with settings with which nothing is measured that could be chosen."""
+    cells = settings.paths is Placement.WHERE_NEEDED
+    given = {"--layers": settings.layers, "--max-depth": max_depth, "--paths where-needed": cells or None}
+    for option, value in given.items():
+        if value is not None:
+            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+
+
+def _with_fovea(settings: FrameSettings, scene: Scene, given: str | None) -> FrameSettings:
+    """The settings with the fovea that is planned for a scene unless one is given."""
+    from hybrid.preparation.decisions import DENOISING, RAW
+
+    if given is None and scene.plan.get(DENOISING) == RAW:
+        settings = replace(settings, fovea=FoveaMode.RAW)
+    if settings.paths is Placement.WHERE_NEEDED and not settings.traces_cells:
+        raise UserError(
+            "--paths where-needed: the fovea is raw, and its noise is worse than what paths would mend; "
+            "choose --fovea fused or denoised"
+        )
+    return settings
 
 
 @dataclass(frozen=True)
@@ -402,6 +422,7 @@ def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
         "fov_b": settings.fov_b,
         "time": settings.time,
         "fovea": settings.fovea.value,
+        "paths": settings.paths.value,
         "integrator": settings.used_integrator.value,
         "unbiased": settings.is_unbiased,
         "acuity_model": settings.acuity_model,

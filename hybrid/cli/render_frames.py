@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 # Parameters of `render` that say how a scene is path-traced.
 _OF_SCENES = (
-    *("fov_a", "fov_b", "spp", "fovea", "integrator", "target_ms", "target_jod"),
-    *("max_depth", "thin_glass", "sensor"),
+    *("fov_a", "fov_b", "spp", "fovea", "paths", "integrator", "target_ms"),
+    *("target_jod", "max_depth", "thin_glass", "sensor"),
 )
 # Of a video without a gaze trace, which has a duration of its own.
 _SECONDS = 4.0

@@ -20,7 +20,9 @@ def sweep(
     scene: o.SceneName,
     over: Annotated[
         str,
-        typer.Option(help="resolution, aspect, radius, spp, view, band, layers, acuity, denoiser or trade."),
+        typer.Option(
+            help="resolution, aspect, radius, spp, view, band, layers, acuity, denoiser, paths or trade."
+        ),
     ] = "resolution",
     forest: o.ForestFile = None,
     fovea: Annotated[str, o.frame(help="raw, denoised or fused.")] = SWEEP.fovea.value,
@@ -46,9 +48,9 @@ def sweep(
     """Time hybrid frames and full path tracing in turns, over one quantity; resumes if interrupted.
 
     Options that a sweep sets itself are refused: --size by resolution, aspect, radius, spp and view; --spp by
-    spp, denoiser and trade; --fovea by denoiser and trade; --fov-a and --fov-b by band; --acuity-model by
-    acuity. In radius, spp, view and trade, only the ratio of --fov-a and --fov-b matters. Only band, layers,
-    acuity, denoiser and trade use --reference-spp.
+    spp, denoiser, paths and trade; --fovea by denoiser, paths and trade; --fov-a and --fov-b by band;
+    --acuity-model by acuity. In radius, spp, view and trade, only the ratio of --fov-a and --fov-b matters.
+    Only band, layers, acuity, denoiser, paths and trade use --reference-spp.
     """
     for name in sweep_named(over, (1,)).ignored:
         if o.given(context, name):

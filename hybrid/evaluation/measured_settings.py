@@ -72,7 +72,7 @@ class MeasuredStore:
     """Stores measured settings of one kind of frame, single ones or the window's, on this machine.
 
     The file, in the scene's cache folder, is of one scene, forest and frame size, width and height, and of
-    the acuity model, the integrator and the display of the base.
+    the acuity model, the integrator, the display and the placement of paths of the base.
     """
 
     def __init__(self, kind: str, scene: Scene, forest: Forest, size: tuple[int, int], base: FrameSettings):
@@ -86,6 +86,7 @@ class MeasuredStore:
             acuity_model=base.acuity_model,
             integrator=None if base.integrator is None else base.integrator.value,
             display=asdict(base.display),
+            paths=base.paths.value,
         )
         name = f"measured-{kind}-{width}x{height}-{short_hash(identity)}.json"
         self.file = scene_folder(scene.name, scene.hash) / name

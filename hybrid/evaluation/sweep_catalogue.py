@@ -9,7 +9,7 @@ from typing import Any
 from compose.base.errors import UserError
 from compose.camera.camera import Camera, View
 from compose.eye.acuity import ACUITY_MODELS
-from compose.fovea.foveation import FoveaMode
+from compose.fovea.foveation import FoveaMode, Placement
 from hybrid.evaluation import fpc
 from hybrid.render.frame_settings import FrameSettings
 
@@ -18,6 +18,7 @@ _VIEW_RADII = (20, 50)
 _TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
 _BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
 _DENOISER_SPP = (1, 2, 4, 16)
+_PATHS_SPP = (1, 4, 8)
 
 
 @dataclass(frozen=True)
@@ -174,6 +175,14 @@ def _denoiser(base: Setting, views: list[View]) -> list[Setting]:
     ]
 
 
+def _paths(base: Setting, views: list[View]) -> list[Setting]:
+    return [
+        _with(base, {"paths": one.value, "spp": spp}, fovea=FoveaMode.FUSED, paths=one, spp=spp)
+        for spp in _PATHS_SPP
+        for one in Placement
+    ]
+
+
 def _trade(base: Setting, views: list[View]) -> list[Setting]:
     rows = []
     for frame in (base.frame.with_radius(outer) for outer in _TRADE_OUTER):
@@ -203,6 +212,7 @@ SWEEPS = {
         scales_radii=True,
     ),
     "denoiser": Sweep(_denoiser, "how the fovea is made", with_quality=True, sets=("fovea", "spp")),
+    "paths": Sweep(_paths, "where paths are traced", with_quality=True, sets=("fovea", "spp")),
 }
 
 

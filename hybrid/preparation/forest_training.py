@@ -16,6 +16,7 @@ from compose.base.errors import UserError, one_line
 from hybrid.base.compute_device import device_arrays
 from hybrid.base.progress import Steps, interrupts_between_steps, no_progress
 from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, HALF, LAYERS, Value
+from hybrid.preparation.error_learning import with_errors
 from hybrid.preparation.fusion_training import fusion_steps, with_fusion
 from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.training_views import Frames, labelled_views, motion_for, pieces_of
@@ -183,6 +184,7 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     if precision is Precision.COMPACT:
         # Before the fusion, which is fitted to what will be drawn.
         forest = compact(forest)
+    forest = with_errors(frames, forest)
     further = lambda done, _: progress(settings.iterations + done, total())  # noqa: E731
     forest = attach_views(with_fusion(frames, forest, settings.seed, further), cameras)
     forest = attach_plan(forest, plan_with(frames, settings))

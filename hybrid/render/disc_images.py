@@ -1,4 +1,4 @@
-"""The disc as images: its samples and the splats under it, in the rectangle around it."""
+"""The disc as images: its samples and the splats under it, in the rectangle around it or in tiles."""
 
 from __future__ import annotations
 
@@ -43,21 +43,24 @@ class Underlay:
 
 
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
-    """The images that are fused, cropped to the disc's rectangle; `quick` for the quicker denoiser."""
-    assert disc.box is not None, "a disc without pixels has no images"
-    splats = underlay.radiance.of_box(disc.box)
+    """The images that are fused, of the disc's pixels; `quick` for the quicker denoiser."""
+    splats = disc.of_frame(underlay.radiance)
     images = DiscImages.of(disc, samples, splats)
     variance = disc.images(samples.variance(), [dr.inf] * 3)
     shown = [*images.radiance, *images.albedo, *images.normal, images.count, *splats, *variance]
     planes = _planes(disc, shown).permute(1, 2, 0)
     traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3], dim=2)
-    denoised = _torch(denoised_for_fusion(images.tensors(), quick))
+    if disc.tiling is None:
+        denoised = _torch(denoised_for_fusion(images.tensors(), quick))
+    else:
+        # Tiles with their borders have twice as many pixels, and detail that half the resolution would lose.
+        denoised, quick = _torch(images.denoised(quick=True)), False
     return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
 
 
 @dataclass(frozen=True)
 class DiscImages:
-    """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
+    """Samples and their auxiliary features as images of a disc, Floats (h * w,).
 
     Radiance (linear, the mean of the samples), albedo and normal have three channels each; the count is that
     of samples per pixel.
@@ -71,10 +74,10 @@ class DiscImages:
 
     @staticmethod
     def of(disc: Disc, samples: Samples, surroundings: list[Any]) -> DiscImages:
-        """The samples of a disc's D pixels, in the rectangle around it.
+        """The samples of a disc's D pixels.
 
-        Surroundings are three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
-        that are not finite, or out of proportion to all samples, count as black.
+        Surroundings are three Floats (h * w,), radiance of the image's pixels outside the disc; those that
+        are not finite, or out of proportion to all samples, count as black.
         """
         brightest: Any = 1.0
         for channel in samples.radiance:
@@ -117,7 +120,7 @@ def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
 
 
 def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any) -> list[list[Any]]:
-    """Of images (h, w, 3) of the rectangle three Floats (N,) each, in some of its pixels, UInt (N,)."""
+    """Of images (h, w, 3) of a disc three Floats (N,) each, in some of its pixels, UInt (N,)."""
     arrays, size = disc.arrays, disc.arrays.constant(disc.shape[0] * disc.shape[1])
     # At once: each tensor that Dr.Jit takes costs as much as a small kernel.
     planes = torch.cat([torch.as_tensor(image).permute(2, 0, 1).flatten() for image in images])
@@ -128,7 +131,7 @@ def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any)
 
 
 def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
-    """(C, h, w) tensor of torch, channels of the rectangle."""
+    """(C, h, w) tensor of torch, channels of a disc's image."""
     plain, (height, width) = disc.arrays.plain, disc.shape
     size = height * width
     buffer = dr.empty(plain.Float, size * len(channels))

@@ -11,8 +11,10 @@ from PIL import ImageDraw, ImageFont
 
 from compose.eye.acuity import COARSEST_RATE
 from compose.eye.detail import DetailMap
+from compose.fovea.cells import CellRegion
 from compose.fovea.foveation import FoveaRegion
 from compose.image.colour import Image, bytes_from_radiance
+from hybrid.base.compute_device import device_arrays
 from hybrid.render.frame import Frame
 
 # Levels 1 to L run from red to blue.
@@ -21,12 +23,12 @@ _TINT = 0.5  # share of the tint in the colour of a pixel
 _RING = 10  # degrees between two rings
 
 
-def detail_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDArray[np.uint8]:
+def detail_picture(frame: Image, detail: DetailMap, region: FoveaRegion | CellRegion) -> NDArray[np.uint8]:
     """(H + legend, W, 3) sRGB: `levels_picture` above a legend of its colours and lines."""
     return np.vstack([levels_picture(frame, detail, region), _legend(detail)])
 
 
-def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDArray[np.uint8]:
+def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion | CellRegion) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB: the frame in grey, tinted by level, with lines between rates and rings of angle.
 
     Below the full rate, the frame, linear radiance (H, W, 3), is shown in blocks as large as its samples.
@@ -41,7 +43,8 @@ def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDAr
     tint = _COARSE * (1 - share) + _FINE * share
     grey = picture.mean(axis=2, keepdims=True)
     tinted = (1 - _TINT) * grey + _TINT * tint * (0.4 + 0.6 * grey / 255)
-    picture = np.where((region.weight_image() >= 1)[..., None], picture, tinted)
+    traced = region.disc(device_arrays())
+    picture = np.where(traced.frame_image([traced.weights]) >= 1, picture, tinted)
     picture[_borders(np.floor(detail.per_pixel(detail.eccentricity) / _RING))] = 255
     for step in range(1, COARSEST_RATE + 1):
         picture[_borders(rate >= step)] = 0

@@ -1,4 +1,4 @@
-"""What a forest's file carries for the renderer: fusion network, plan, and the views it was trained on."""
+"""What a forest's file carries for the renderer: fusion network, plan, training views, expected errors."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
 from pathtrace.trace.path_depths import UNBOUNDED
 from splat.model.forest import Forest
 
-# Names of what is attached: a prefix for the network's state, the plan, and the table of views.
-_FUSION, _PLAN, _VIEWS = "fusion.", "plan.json", "views.cameras"
+# Names of what is attached: a prefix for the network's state, the plan, the table of views, and errors.
+_FUSION, _PLAN, _VIEWS, _ERRORS = "fusion.", "plan.json", "views.cameras", "errors.coarsest"
 # Of each view width, height, focal lengths and principal point, then the world-to-camera transform.
 _NUMBERS = 6 + 16
 
@@ -108,3 +108,29 @@ def views_of(forest: Forest) -> list[Camera]:
         raise UserError(
             f"the forest's training views are damaged ({error}); train the forest again"
         ) from error
+
+
+# Errors are stored in steps of an eighth of an octave below 1; the last one, 3e-10, counts as none.
+_STEPS_PER_OCTAVE, _NO_ERROR = 8, 255
+
+
+def attach_errors(forest: Forest, errors: torch.Tensor) -> Forest:
+    """The forest with the squared errors to expect where nodes (N,) of its coarsest layer show.
+
+    They are of sRGB values from 0 to 1, stored in a byte each.
+    """
+    steps = torch.round(-_STEPS_PER_OCTAVE * torch.log2(errors)).clamp(0, _NO_ERROR)
+    return replace(forest, attached=forest.attached | {_ERRORS: steps.to(torch.uint8)})
+
+
+def errors_of(forest: Forest) -> torch.Tensor | None:
+    """(N,) float32, the squared errors that are attached to a forest; None if there are none.
+
+    UserError if they are damaged.
+    """
+    steps = forest.attached.get(_ERRORS)
+    if steps is None:
+        return None
+    if steps.dtype != torch.uint8 or steps.shape != (forest.counts[0],):
+        raise UserError("the forest's expected errors are damaged; train the forest again")
+    return torch.where(steps == _NO_ERROR, 0.0, torch.exp2(steps.float() / -_STEPS_PER_OCTAVE))

@@ -95,17 +95,16 @@ class Fovea:
     ) -> FoveaImage:
         """Makes the fovea from the samples of the disc's pixels, with the quicker denoiser if `quick`.
 
-        A denoised fovea requires the surroundings, radiance that fills the corners of the rectangle around
-        the disc; a fused one requires the underlay, the splats under the disc, in the same view. ValueError
+        A denoised fovea requires the surroundings, radiance that fills the disc's image where it has no
+        samples; a fused one requires the underlay, the splats under the disc, in the same view. ValueError
         if they are missing.
         """
         if mode is FoveaMode.RAW or not disc.count:
             return FoveaImage(disc, samples.radiance, samples)
-        assert disc.box is not None
         if mode is FoveaMode.DENOISED:
             if surroundings is None:
                 raise ValueError("a denoised fovea requires the radiance around the disc")
-            images = DiscImages.of(disc, samples, surroundings.of_box(disc.box))
+            images = DiscImages.of(disc, samples, disc.of_frame(surroundings))
             flat = images.denoised(quick).array
             denoised = [dr.gather(type(flat), flat, disc.inside * 3 + c) for c in range(3)]
             return FoveaImage(disc, denoised, samples, denoised)

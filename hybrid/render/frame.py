@@ -13,6 +13,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
 from compose.eye.gaze import eccentricity
+from compose.fovea.cells import CellRegion
 from compose.fovea.foveation import FoveaRegion
 from compose.fusion.parents import PARENTS
 from compose.image.colour import Image
@@ -36,7 +37,7 @@ class Frame:
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
         fovea: the disc and what it was made from; its `disc` has the weights of the blend and, of a raw
             fovea, the pixels with samples only.
-        region: the disc.
+        region: the disc, or the cells that are traced in its place.
         milliseconds: per pass (region, detail, splat, fill, trace, fovea, blend), and in total.
         underlay: the splats under the disc, if fused.
         fill: what was path-traced because the forest does not know it; None if it knows all of the frame.
@@ -51,7 +52,7 @@ class Frame:
     detail: DetailMap
     nodes_drawn: int
     fovea: FoveaImage
-    region: FoveaRegion
+    region: FoveaRegion | CellRegion
     milliseconds: dict[str, float]
     underlay: Underlay | None = None
     fill: Fill | None = None

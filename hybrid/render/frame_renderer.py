@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError, require_seed
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
+from compose.fovea.cells import CellRegion
 from compose.fovea.disc import Disc, blend
-from compose.fovea.foveation import FoveaMode, FoveaRegion
+from compose.fovea.foveation import FoveaMode, FoveaRegion, Placement
 from compose.image.colour import Image
 from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.base.identity import require_scene
 from hybrid.render.disc_images import Underlay
+from hybrid.render.expected_errors import ExpectedErrors
 from hybrid.render.forest_attachments import fusion_of, scene_as_trained
 from hybrid.render.fovea import Fovea, FoveaImage
 from hybrid.render.frame import Frame
@@ -69,7 +71,7 @@ class Renderer:
         self.scene, self._arrays = scene, device_arrays()
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
         self.periphery = Periphery(self._arrays, forest)
-        self._filler = Filler(self._arrays, forest)
+        self._filler, self._errors = Filler(self._arrays, forest), ExpectedErrors(self._arrays, forest)
         self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
@@ -151,7 +153,7 @@ class Renderer:
         self.fovea_of(settings)
         clock = PassClock()
         camera, settings = self._begun(settings)
-        region = settings.foveation.region(camera.width, camera.height)
+        region = self._region(camera, settings)
         disc = region.disc(self._arrays)
         clock.lap("region")
         detail, drawn, under = self._drawn(camera, settings, region, clock)
@@ -179,6 +181,12 @@ class Renderer:
         )
         return self.with_aovs(frame, settings.aovs) if settings.aovs else frame
 
+    def _region(self, camera: Camera, settings: FrameSettings) -> FoveaRegion | CellRegion:
+        """Where a frame's paths are traced; scene and forest show its time."""
+        if settings.traces_cells:
+            return self._errors.region(camera, settings)
+        return settings.foveation.region(camera.width, camera.height)
+
     def _fovea(
         self,
         settings: FrameSettings,
@@ -192,14 +200,14 @@ class Renderer:
     ) -> FoveaImage:
         """Traces a disc and makes the fovea from its samples, with the quicker denoiser if `quick`."""
         maker, mode = self.fovea_of(settings), settings.fovea
-        disc, samples = maker.trace(mode, camera, disc, settings.spp, seed, underlay, self._is_quick)
+        disc, samples = maker.trace(mode, camera, disc, settings.traced_spp, seed, underlay, self._is_quick)
         clock.lap("trace")
         fovea = maker.image(mode, disc, samples, periphery, underlay, quick)
         clock.lap("fovea")
         return fovea
 
     def _drawn(
-        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: PassClock
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion | CellRegion, clock: PassClock
     ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
         """The detail of a frame, the splats that the fovea leaves visible and, if fused, those under it."""
         detail = self.periphery.detail(camera, settings, self._is_quick)
@@ -210,7 +218,7 @@ class Renderer:
 
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
-        camera, settings = settings.resolved(self.scene.camera)
+        camera, settings = self._resolved(settings)
         moving, time = self.scene.moving, settings.time
         if moving is not None:
             moving.set_time(time)
@@ -224,7 +232,14 @@ class Renderer:
         elif time:
             raise UserError(f"time {time:g}: nothing moves in {self.scene.name}")
         self.periphery.set_time(time)
+        self._errors.set_time(time)
         return camera, settings
+
+    def _resolved(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
+        """The camera and the settings of a frame, as far as the forest allows them."""
+        if settings.traces_cells and not self._errors.are_known:
+            settings = replace(settings, paths=Placement.DISC)
+        return settings.resolved(self.scene.camera)
 
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """What is path-traced where the forest does not know the view; None if it knows all of it."""
@@ -240,7 +255,7 @@ class Renderer:
         self,
         camera: Camera,
         settings: FrameSettings,
-        region: FoveaRegion,
+        region: FoveaRegion | CellRegion,
         fill: Fill | None = None,
         under: SplatImage | None = None,
     ) -> Underlay | None:
@@ -258,7 +273,7 @@ class Renderer:
         # As in `frame`, first.
         self.fovea_of(settings)
         camera, settings = self._begun(settings)
-        region = settings.foveation.region(camera.width, camera.height)
+        region = self._region(camera, settings)
         self._relight(settings)
         fill = self._fill(camera, settings, seed) if settings.fovea is FoveaMode.FUSED else None
         underlay = self.underlay(camera, settings, region, fill)
@@ -270,9 +285,9 @@ class Renderer:
 
     def paths(self, settings: FrameSettings) -> float:
         """Expected number of paths traced for a frame."""
-        camera, settings = settings.resolved(self.scene.camera)
-        disc = settings.foveation.region(camera.width, camera.height).disc(self._arrays)
-        return self.fovea_of(settings).paths(settings.fovea, disc, settings.spp)
+        camera, settings = self._begun(settings)
+        disc = self._region(camera, settings).disc(self._arrays)
+        return self.fovea_of(settings).paths(settings.fovea, disc, settings.traced_spp)
 
     def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
@@ -315,7 +330,7 @@ class LiveRenderer(Renderer):
         return super().frame(settings, seed)
 
     def _drawn(
-        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: PassClock
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion | CellRegion, clock: PassClock
     ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
         view = camera, settings.time
         self._still, self._last_view = view == self._last_view, view

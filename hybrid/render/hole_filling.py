@@ -111,10 +111,7 @@ class KnownSurfaces:
     @cached_property
     def _coarse(self) -> ForestRenderer:
         """Draws the coarsest layer alone."""
-        forest, layer = self._forest, self._forest.layers[0]
-        focal = forest.focal_of(1)
-        alone = Forest(layer, (len(layer),), focal, forest.scene_name, forest.scene_hash, {}, forest.place)
-        return ForestRenderer(self._arrays, alone)
+        return ForestRenderer(self._arrays, self._forest.coarsest_alone())
 
 
 def _grid(camera: Camera, side: int) -> tuple[int, int]:

@@ -11,6 +11,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS, COARSEST_RATE
 from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, detail_map, saliency
+from compose.fovea.cells import CellRegion
 from compose.fovea.foveation import FoveaRegion
 from hybrid.render.frame_settings import FrameSettings
 from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer, finest_frequency
@@ -122,7 +123,7 @@ class Periphery:
             camera.width,
             camera.height,
             ACUITY_MODELS[settings.acuity_model],
-            settings.fov_b,
+            settings.hidden_radius,
             layers,
             None if unlimited else self._saliency.of(camera, moving),
         )
@@ -133,12 +134,16 @@ class Periphery:
         samples = 1 if ACUITY_MODELS[settings.acuity_model].relative else 2
         return int(np.clip(np.floor(np.log2(pixel / samples)), 0, COARSEST_RATE))
 
-    def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> SplatImage:
+    def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion | CellRegion) -> SplatImage:
         """The part of a frame that the fovea leaves visible, drawn with the required detail."""
         return self.draw_with_disc(camera, None, detail, region)[0]
 
     def draw_with_disc(
-        self, camera: Camera, settings: FrameSettings | None, detail: DetailMap, region: FoveaRegion
+        self,
+        camera: Camera,
+        settings: FrameSettings | None,
+        detail: DetailMap,
+        region: FoveaRegion | CellRegion,
     ) -> tuple[SplatImage, SplatImage]:
         """What `draw` and, with settings, `under_disc` draw, in little more time than `draw` takes."""
         layers = [LayerImage(one.layer, one.rate, detail.weight(n)) for n, one in enumerate(detail.steps)]
@@ -146,7 +151,7 @@ class Periphery:
         return self._renderer.render(camera, layers, detail.low_pass, region.peripheral_tiles(TILE), under)
 
     def draw_still(
-        self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
+        self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion | CellRegion
     ) -> tuple[SplatImage, SplatImage]:
         """Like `draw` and `whole`, from layers that are drawn once per camera and joined again for each gaze.
 
@@ -163,13 +168,15 @@ class Periphery:
         shares = [detail.weight(number) for number in range(len(steps))]
         return layers.composite(shares, region.peripheral_tiles(TILE)), whole
 
-    def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
+    def under_disc(
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion | CellRegion
+    ) -> SplatImage:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
         under = self._under(settings, region)
         nothing = np.zeros((under.cells.shape[0] + 1, under.cells.shape[1] + 1), np.float32)
         return self._renderer.render(camera, [], nothing, np.zeros_like(under.cells), under)[1]
 
-    def _under(self, settings: FrameSettings, region: FoveaRegion) -> Under:
+    def _under(self, settings: FrameSettings, region: FoveaRegion | CellRegion) -> Under:
         return Under(self.layers_of(settings)[1], region.foveal_tiles(TILE))
 
     def enlargement(self, camera: Camera, settings: FrameSettings) -> float:

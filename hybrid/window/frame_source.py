@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,15 +108,15 @@ class FrameSource:
 
     def _rendered(self, request: Request, frame: Frame | None, quick: bool) -> tuple[Frame, int]:
         """The hybrid frame of a request, from the frame so far if any, and how many paths it took now."""
-        spp = request.settings.spp
         if frame is None:
             frame = self.renderer.frame(request.settings, self._seed)
-            return frame, spp * frame.fovea.disc.count
+            return frame, frame.settings.traced_spp * frame.fovea.disc.count
         samples = frame.fovea.samples
         if request.view is ShownView.PATH_TRACED or not samples.size or samples.mean_count() >= _ENOUGH:
             return frame, 0
-        spp = spp if quick else max(_PATIENT_SPP, spp)
-        return self.renderer.refined(frame, spp, self._seed, quick), spp * frame.fovea.disc.count
+        spp = request.settings.spp if quick else max(_PATIENT_SPP, request.settings.spp)
+        frame = self.renderer.refined(frame, spp, self._seed, quick)
+        return frame, replace(frame.settings, spp=spp).traced_spp * frame.fovea.disc.count
 
     def _path_traced(self, frame: Frame, quick: bool) -> tuple[ConvergingFrame, int]:
         """A frame's view, path-traced with more samples, and how many paths those took."""

@@ -9,7 +9,7 @@ below as its own child. Otherwise the finer layers would have a hole in its plac
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -77,6 +77,14 @@ class Forest:
     def finest(self) -> Gaussians:
         """The Gaussians of layer L."""
         return self.layers[-1].gaussians
+
+    def coarsest_alone(self, sh: torch.Tensor | None = None) -> Forest:
+        """The coarsest layer as a forest, in usual light; with constant harmonics (1, 3, N), if given."""
+        layer, alone = self.layers[0], replace(self, attached={}, light=None)
+        if sh is not None:
+            shown = replace(layer.gaussians, sh=sh, directional=None, blending=Blending.LINEAR)
+            layer = replace(layer, gaussians=shown)
+        return replace(alone, nodes=layer, counts=(len(layer),), trained_focal=self.focal_of(1))
 
     def focal_of(self, layer: int) -> float:
         """Vertical focal length in pixels of the frames that a layer, 1 to L, was trained on."""

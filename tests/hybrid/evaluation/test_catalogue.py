@@ -139,7 +139,7 @@ def test_a_size_is_ignored_where_the_sweep_sets_it(base, name):
 def test_references_are_needed_for_quality_only(name):
     sweep = sweep_named(name, COUNTS)
     assert sweep.with_quality == ("reference_spp" not in sweep.ignored)
-    assert sweep.with_quality == (name in ("band", "acuity", "trade", "denoiser", "layers"))
+    assert sweep.with_quality == (name in ("band", "acuity", "trade", "denoiser", "paths", "layers"))
 
 
 def test_a_sweep_that_does_not_exist_is_named():

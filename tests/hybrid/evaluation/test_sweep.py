@@ -171,8 +171,8 @@ def test_an_empty_fovea_is_refused_before_anything_is_timed(made, monkeypatch, c
     ("over", "option"),
     [
         *((over, "--size 48 32") for over in ("resolution", "aspect", "radius", "spp", "view")),
-        *((over, "--spp 2") for over in ("spp", "denoiser", "trade")),
-        *((over, "--fovea raw") for over in ("denoiser", "trade")),
+        *((over, "--spp 2") for over in ("spp", "denoiser", "paths", "trade")),
+        *((over, "--fovea raw") for over in ("denoiser", "paths", "trade")),
         *(("band", option) for option in ("--fov-a 30", "--fov-b 10")),
         ("acuity", "--acuity-model none"),
         *((over, "--reference-spp 64") for over in ("resolution", "aspect", "radius", "spp", "view")),

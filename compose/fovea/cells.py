@@ -1,0 +1,151 @@
+"""The cells of a frame in which paths pay: which they are, and with which weights they cover the splats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays, uploaded
+from compose.eye.detail import CELL
+from compose.fovea.tiling import Tiling
+
+if TYPE_CHECKING:
+    from compose.fovea.disc import Disc
+
+# Share of the cells that do not cover the splats entirely, those that are worth least: so weights are
+# continuous in whatever the worth depends on, and nothing pops.
+_FADE = 0.2
+# Width in pixels of the border of a cell towards one that is covered less.
+_BAND = 3
+
+
+def chosen(worth: NDArray[np.floating], count: int) -> NDArray[np.float32]:
+    """(rows, columns) weight, 0..1, of the `count` cells that are worth most, fewer if others are as good.
+
+    The worth (rows, columns) is 0 or more; cells that are worth nothing are not chosen.
+    """
+    if count <= 0:
+        return np.zeros(worth.shape, dtype=np.float32)
+    best = np.sort(worth, axis=None)[::-1]
+    least = best[count] if count < best.size else 0.0
+    if least <= 0:
+        return (worth > 0).astype(np.float32)
+    # Cells that are worth the same are covered alike.
+    full = max(best[int((1 - _FADE) * count)] - least, np.finfo(np.float64).tiny)
+    return np.clip((worth - least) / full, 0, 1).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class CellRegion:
+    """Cells of CELL x CELL pixels that are path-traced, in the place of a disc.
+
+    Attributes:
+        width, height: frame in pixels.
+        weights: (rows, columns) of the path-traced radiance in the cells, 0..1.
+    """
+
+    width: int
+    height: int
+    weights: NDArray[np.float32]
+
+    @cached_property
+    def cells(self) -> NDArray[np.int64]:
+        """(K,) row-major numbers of the cells, ascending."""
+        return np.flatnonzero(self.weights > 0)
+
+    @cached_property
+    def count(self) -> int:
+        """D, the number of their pixels."""
+        row, column = np.divmod(self.cells, self.weights.shape[1])
+        tall, wide = (
+            np.minimum(CELL, side - CELL * at) for side, at in ((self.height, row), (self.width, column))
+        )
+        return int((tall * wide).sum())
+
+    def disc(self, arrays: Arrays) -> Disc:
+        """The pixels and their weights on the device."""
+        from compose.fovea.disc import Disc
+
+        plain, frame = arrays.plain, (self.width, self.height)
+        if not self.count:
+            return Disc(arrays, *frame, dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0), None)
+        row, column = np.divmod(self.cells, self.weights.shape[1])
+        box = tuple(
+            slice(int(at.min()) * CELL, min((int(at.max()) + 1) * CELL, end))
+            for at, end in ((row, self.height), (column, self.width))
+        )
+        pixels, weights = self._listed(arrays)
+        dr.schedule(pixels, weights)
+        return Disc(
+            arrays, *frame, pixels, weights, (box[0], box[1]), tiling=Tiling(arrays, *frame, self.cells)
+        )
+
+    def _listed(self, arrays: Arrays) -> tuple[Any, Any]:
+        """Row-major indices UInt (D,) of the pixels, cell by cell, and their weights."""
+        plain = arrays.plain
+        numbers = uploaded(plain.UInt, self.cells.astype(np.uint32))
+        lattices = uploaded(plain.Float, self.lattices())
+        lane = dr.arange(plain.UInt, len(self.cells) * CELL**2)
+        cell, place = lane // CELL**2, lane % CELL**2
+        row, column = arrays.rows_columns(dr.gather(plain.UInt, numbers, cell), self.weights.shape[1])
+        down, across = place // CELL, place % CELL
+        weight = _interpolated(
+            plain, lattices, cell * 9, _along(plain.Float(down)), _along(plain.Float(across))
+        )
+        row, column = row * CELL + down, column * CELL + across
+        pixel = row * arrays.constant(self.width) + column
+        if self.count == len(self.cells) * CELL**2:
+            return pixel, weight
+        inside = (row < arrays.constant(self.height)) & (column < arrays.constant(self.width))
+        dr.eval(pixel, weight, inside)
+        kept = dr.compress(inside)
+        return dr.gather(plain.UInt, pixel, kept), dr.gather(plain.Float, weight, kept)
+
+    def lattices(self) -> NDArray[np.float32]:
+        """(K, 9) weights of each cell at its corners, on its sides and inside, 3 x 3 row by row.
+
+        What cells share has the least weight of theirs.
+        """
+        padded = np.pad(self.weights, 1, mode="edge")
+        down = np.minimum(padded[1:], padded[:-1])
+        across, corner = np.minimum(padded[:, 1:], padded[:, :-1]), np.minimum(down[:, 1:], down[:, :-1])
+        rows = [
+            [corner[:-1, :-1], down[:-1, 1:-1], corner[:-1, 1:]],
+            [across[1:-1, :-1], self.weights, across[1:-1, 1:]],
+            [corner[1:, :-1], down[1:, 1:-1], corner[1:, 1:]],
+        ]
+        every = np.stack([at for row in rows for at in row], axis=-1)
+        return every.reshape(-1, 9)[self.cells]
+
+    def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: cells that are traced and all that their borders reach; `tile` is CELL."""
+        assert tile == CELL, "cells are tiles"
+        padded = np.pad(self.weights > 0, 1)
+        down = padded[2:] | padded[1:-1] | padded[:-2]
+        return np.asarray(down[:, 2:] | down[:, 1:-1] | down[:, :-2])
+
+    def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: cells with a pixel in which splats are visible; `tile` is CELL."""
+        assert tile == CELL, "cells are tiles"
+        hidden = np.zeros(self.weights.size, dtype=bool)
+        hidden[self.cells] = self.lattices().min(axis=1) >= 1
+        return ~hidden.reshape(self.weights.shape)
+
+
+def _along(place: Any) -> Any:
+    """Where on the lattice of a cell, 0 to 2, a row or column of its pixels lies."""
+    end = CELL - 0.5 - place
+    return dr.minimum((place + 0.5) * (1 / _BAND), 1) + 1 - dr.minimum(end * (1 / _BAND), 1)
+
+
+def _interpolated(plain: Any, lattices: Any, first: Any, down: Any, across: Any) -> Any:
+    """Float, a 3 x 3 lattice that starts at an index, at a place from 0 to 2 along each side."""
+    row, column = (plain.UInt(dr.minimum(at, 1)) for at in (down, across))
+    taps = [dr.gather(plain.Float, lattices, first + (row + k // 2) * 3 + column + k % 2) for k in range(4)]
+    right, below = across - plain.Float(column), down - plain.Float(row)
+    return dr.lerp(dr.lerp(taps[0], taps[1], right), dr.lerp(taps[2], taps[3], right), below)
