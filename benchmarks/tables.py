@@ -163,7 +163,7 @@ def paths() -> str:
     names = [path.stem for path in sorted(DATA.glob("paths-*.json"))]
     rows = []
     for name in names:
-        found = result(name)["rows"]
+        found = [row for row in result(name)["rows"] if row["fovea"] == "fused"]
         for disc, cells in zip(found[::2], found[1::2], strict=True):
             both = [
                 f"{row['ms']['p50']:.0f} ms, {row['quality']['whole psnr']:.2f} dB, "

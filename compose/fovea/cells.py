@@ -25,19 +25,19 @@ _BAND = 3
 
 
 def chosen(worth: NDArray[np.floating], count: int) -> NDArray[np.float32]:
-    """(rows, columns) weight, 0..1, of the `count` cells that are worth most, fewer if others are as good.
+    """(rows, columns) weights, 0..1, of the `count` cells that are worth most; 0 of all others.
 
     The worth (rows, columns) is 0 or more; cells that are worth nothing are not chosen.
     """
-    if count <= 0:
-        return np.zeros(worth.shape, dtype=np.float32)
-    best = np.sort(worth, axis=None)[::-1]
-    least = best[count] if count < best.size else 0.0
-    if least <= 0:
-        return (worth > 0).astype(np.float32)
-    # Cells that are worth the same are covered alike.
-    full = max(best[int((1 - _FADE) * count)] - least, np.finfo(np.float64).tiny)
-    return np.clip((worth - least) / full, 0, 1).astype(np.float32)
+    flat, weights = worth.ravel(), np.zeros(worth.size, dtype=np.float32)
+    order = np.argsort(-flat, kind="stable")
+    best = order[: min(count, np.count_nonzero(flat > 0))]
+    if len(best):
+        least = flat[order[count]] if count < worth.size else 0.0
+        full = flat[best[min(int((1 - _FADE) * count), len(best) - 1)]] - least
+        # Of cells that are all worth the same, any are as good as others.
+        weights[best] = np.clip((flat[best] - least) / full, 0, 1) if full > 0 else 1
+    return weights.reshape(worth.shape)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ _VIEW_RADII = (20, 50)
 _TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
 _BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
 _DENOISER_SPP = (1, 2, 4, 16)
-_PATHS_SPP = (1, 4, 8)
+_PATHS_SPP = (1, 4)
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,8 @@ def _denoiser(base: Setting, views: list[View]) -> list[Setting]:
 
 def _paths(base: Setting, views: list[View]) -> list[Setting]:
     return [
-        _with(base, {"paths": one.value, "spp": spp}, fovea=FoveaMode.FUSED, paths=one, spp=spp)
+        _with(base, {"fovea": mode.value, "spp": spp, "paths": one.value}, fovea=mode, spp=spp, paths=one)
+        for mode in (FoveaMode.DENOISED, FoveaMode.FUSED)
         for spp in _PATHS_SPP
         for one in Placement
     ]

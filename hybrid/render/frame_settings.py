@@ -226,9 +226,8 @@ class FrameSettings:
 
 # The defaults of single frames and, below, of other uses.
 DEFAULTS = FrameSettings()
-# The window: a small disc at the lowest sample count, because samples add up while nothing moves; its paths
-# go where they are needed, which shows more in the same time.
-INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1, paths=Placement.WHERE_NEEDED)
+# The window: a small disc at the lowest sample count, because samples add up while nothing moves.
+INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1)
 # An evaluation compares methods where samples are scarce.
 EVALUATION = FrameSettings(spp=1)
 # A sweep times what Foveated Path Culling times: samples without denoising, in the disc alone.

@@ -56,6 +56,7 @@ def test_the_cells_that_are_worth_most_are_chosen():
             assert worth[weights > 0].min() > worth[weights == 0].max()
             assert np.count_nonzero(weights == 1) >= 0.8 * count
     assert not chosen(np.zeros((3, 3)), 4).any()
+    assert np.count_nonzero(chosen(np.ones((3, 3)), 4) == 1) == 4
     np.testing.assert_array_equal(chosen(np.array([[0.0, 2.0]]), 2), [[0, 1]])
 
 

@@ -132,6 +132,18 @@ MISTAKES = {
         ["sweep", "cornell", "--over", "denoiser", "--spp", "2"],
         "--spp: has no influence on a sweep --over denoiser",
     ),
+    "paths where raw ones are no use": (
+        ["render", "cornell", "--paths", "where-needed", "--fovea", "raw", "-o", "{tmp}/a.png"],
+        "--paths where-needed: the fovea is raw",
+    ),
+    "paths that no target was measured with": (
+        ["render", "cornell", "--paths", "where-needed", "--target-ms", "50", "-o", "{tmp}/a.png"],
+        "nothing is measured with --paths where-needed",
+    ),
+    "paths in an unknown place": (
+        ["render", "cornell", "--paths", "everywhere", "-o", "{tmp}/a.png"],
+        "paths everywhere: must be disc or where-needed",
+    ),
     "a report that is none": (
         ["sweep", "cornell", "--report", "{tmp}"],
         "{tmp}",

@@ -70,6 +70,7 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "fov_b": 10,
         "time": 0.0,
         "fovea": "denoised",
+        "paths": "disc",
         "integrator": "cached",
         "unbiased": False,
         "acuity_model": "fov-gs",

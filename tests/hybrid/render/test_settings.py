@@ -12,7 +12,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.display import DISPLAYS, Display
 from compose.eye.gaze import Gaze, eccentricity
-from compose.fovea.foveation import FoveaMode, Foveation
+from compose.fovea.foveation import FoveaMode, Foveation, Placement
 from hybrid.render.frame_settings import DEFAULTS, EVALUATION, INTERACTIVE, SWEEP, FrameSettings
 from pathtrace.trace.integrator import Integrator
 
@@ -33,6 +33,7 @@ OTHERS = {
     "integrator": Integrator.PATH,
     "fill": False,
     "time": 0.5,
+    "paths": Placement.WHERE_NEEDED,
 }
 
 
