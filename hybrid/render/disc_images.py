@@ -54,7 +54,7 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
         denoised = _torch(denoised_for_fusion(images.tensors(), quick))
     else:
         # Tiles with their borders have twice as many pixels, and detail that half the resolution would lose.
-        denoised, quick = _torch(images.denoised(quick=True)), False
+        denoised, quick = _torch(denoise(*_plain(images.tensors()), quick=True)), False
     return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
 
 
@@ -112,11 +112,16 @@ class DiscImages:
 
 def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
     """(h, w, 3) tensor of denoised radiance as one parent of several; at half the resolution if quick."""
-    radiance, albedo, normal = tensors
+    return (denoise_coarsely if quick else denoise)(*_plain(tensors))
+
+
+def _plain(tensors: list[Any]) -> list[Any]:
+    """Radiance, albedo and normal (h, w, 3), what surrounds them in place of outliers of radiance."""
+    radiance, *guides = tensors
     if not all_plain([radiance.array]):
         image: Image = np.asarray(radiance)
         radiance = type(radiance)(filled(image, outliers(image)))
-    return (denoise_coarsely if quick else denoise)(radiance, albedo, normal)
+    return [radiance, *guides]
 
 
 def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any) -> list[list[Any]]:

@@ -66,7 +66,8 @@ class Frame:
     @property
     def splats(self) -> DeviceImage:
         """The periphery, and what was filled, made of the composite; black in tiles that the fovea hides."""
-        return self.image.packed().changed(self.fovea.disc.pixels, self.behind)
+        disc = self.fovea.disc
+        return self.image.packed().changed(disc.pixels, self.behind) if disc.count else self.image
 
     @property
     def periphery(self) -> Image:

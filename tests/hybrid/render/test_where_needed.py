@@ -17,6 +17,7 @@ from compose.fovea.foveation import FoveaMode, Placement
 from hybrid.render.forest_attachments import attach_errors, errors_of
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
+from tests.extremes import extreme
 
 SIZE = (96, 80)
 SETTINGS = FrameSettings(fov_a=30, fov_b=20, paths="where-needed")
@@ -97,6 +98,33 @@ def test_a_radius_of_none_traces_none(renderer, camera):
     frame = renderer.frame(replace(SETTINGS, camera=camera, fov_a=0, fov_b=0))
     assert frame.fovea.disc.count == 0
     assert not frame.weight_image().any()
+
+
+@extreme(
+    "paths where needed, in frames of any shape",
+    given="frames of 1 x 1, 300 x 2 and 17 x 33 pixels; fused, with a disc of 5 % to 90 %",
+    expected="finite; no more pixels are traced than the disc has, or one cell",
+)
+@pytest.mark.parametrize("fov_a", [5, 90])
+@pytest.mark.parametrize("size", [(1, 1), (300, 2), (17, 33)])
+def test_cells_of_frames_of_any_shape(renderer, scene, size, fov_a, got):
+    settings = replace(SETTINGS, camera=scene.camera.resized(*size), fov_a=fov_a, fov_b=1)
+    frame = renderer.frame(settings)
+    assert np.isfinite(frame.composite).all()
+    traced = got(frame.fovea.disc.count)
+    assert traced <= max(settings.foveation.region(*size).count + CELL**2 / 2, CELL**2)
+
+
+@extreme(
+    "a forest that expects no error",
+    given="expected errors of 0 in all nodes",
+    expected="no path is traced; the splats are shown",
+)
+def test_a_forest_that_expects_no_error_is_shown_alone(scene, forest, camera, got):
+    sure = attach_errors(forest, torch.zeros(forest.counts[0]))
+    frame = Renderer(scene, sure).frame(replace(SETTINGS, camera=camera, fill=False))
+    assert got(frame.fovea.disc.count) == 0
+    np.testing.assert_array_equal(frame.composite, frame.periphery)
 
 
 def test_a_forest_that_does_not_know_traces_the_disc_and_says_so(scene, forest, camera, caplog):
