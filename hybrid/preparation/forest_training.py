@@ -151,7 +151,8 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
         light: on the surfaces that the frames show, in their coordinates; None if it is not known to change.
         precision: of the numbers in the file, which are those of the forest that is returned.
         paced: told the seconds that a step takes, says how many steps it will be, LEAST_PACED or more; as in
-            the settings if None, and in trainings of fewer.
+            the settings if None, and in trainings of fewer. Such a forest does not learn yet where it is
+            wrong: others will follow.
 
     Raises:
         UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
@@ -184,7 +185,8 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     if precision is Precision.COMPACT:
         # Before the fusion, which is fitted to what will be drawn.
         forest = compact(forest)
-    forest = with_errors(frames, forest)
+    if paced is None:
+        forest = with_errors(frames, forest)
     further = lambda done, _: progress(settings.iterations + done, total())  # noqa: E731
     forest = attach_views(with_fusion(frames, forest, settings.seed, further), cameras)
     forest = attach_plan(forest, plan_with(frames, settings))

@@ -18,6 +18,7 @@ from hybrid.base.identity import require_scene, short_hash
 from hybrid.base.journal import Journal
 from hybrid.base.progress import Bars, no_bars
 from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES
+from hybrid.preparation.error_learning import with_errors
 from hybrid.preparation.forest_training import planned_settings, train
 from hybrid.preparation.fusion_training import with_fusion
 from hybrid.preparation.gaussian_count import breadth_of, planned_needs
@@ -137,7 +138,7 @@ class _Job:
             forest = self._staged(frames, forest)
             self._judge(judges, forest)
         assert forest is not None
-        forest = self._with_fusion(forest)
+        forest = self._finished(frames, forest)
         store_forest(forest, self.folder.name)
         facts = {**self._facts(forest, frames), **self._limit(forest, frames)}
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
@@ -248,11 +249,12 @@ class _Job:
         views = sum(stage.views for stage in self.planner.stages)
         _LOG.info(f"{shown['seconds']:.0f} s: {views} views, {shown['gaussians']:,} Gaussians{quality}")
 
-    def _with_fusion(self, forest: Forest) -> Forest:
-        """The forest with a fusion fitted to it, of which single frames make use."""
+    def _finished(self, frames: GrowingFrames, forest: Forest) -> Forest:
+        """The forest with what it learns of its errors and, if there is time, a fusion fitted to it."""
         path = self.folder / "forest.safetensors"
         if path.is_file():
             return load_forest(path)
+        forest = with_errors(read_frame_set(frames.folder), forest)
         if self.planner.fits_fusion:
             cache, seed = cache_for(self.scene), self.settings.seed
             close_ups = _CLOSE_UPS[self.planner.stages[-1].scale]

@@ -54,7 +54,7 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
         denoised = _torch(denoised_for_fusion(images.tensors(), quick))
     else:
         # Tiles with their borders have twice as many pixels, and detail that half the resolution would lose.
-        denoised, quick = _torch(denoise(*_plain(images.tensors()), quick=True)), False
+        denoised, quick = _torch(denoise(*_plain(images.tensors()), True)), False
     return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
 
 
@@ -115,13 +115,13 @@ def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
     return (denoise_coarsely if quick else denoise)(*_plain(tensors))
 
 
-def _plain(tensors: list[Any]) -> list[Any]:
+def _plain(tensors: list[Any]) -> tuple[Any, Any, Any]:
     """Radiance, albedo and normal (h, w, 3), what surrounds them in place of outliers of radiance."""
-    radiance, *guides = tensors
+    radiance, albedo, normal = tensors
     if not all_plain([radiance.array]):
         image: Image = np.asarray(radiance)
         radiance = type(radiance)(filled(image, outliers(image)))
-    return [radiance, *guides]
+    return radiance, albedo, normal
 
 
 def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any) -> list[list[Any]]:

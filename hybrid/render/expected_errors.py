@@ -6,6 +6,7 @@ import logging
 from functools import cached_property
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
@@ -14,6 +15,7 @@ from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.detail import CELL, resolved_share
 from compose.fovea.cells import CellRegion, chosen
 from compose.fovea.foveation import FoveaRegion
+from compose.image.colour import Image
 from hybrid.render.forest_attachments import errors_of
 from hybrid.render.frame_settings import FrameSettings
 from splat.lod.forest_renderer import ForestRenderer
@@ -26,6 +28,16 @@ _RATE = 3
 _PER_CELL = CELL >> _RATE
 # Errors are drawn as radiance, which has few digits where it is as small as they are.
 _SCALE = 256.0
+
+
+def harmonics_of(errors: torch.Tensor) -> torch.Tensor:
+    """(1, 3, N) harmonics of nodes that show errors (N,) as their radiance."""
+    return ((perceptual_from_radiance(_SCALE * errors) - 0.5) / SH_DC).expand(1, 3, -1).contiguous()
+
+
+def errors_in(image: Image) -> NDArray[np.float32]:
+    """(H, W) errors that an image (H, W, 3) of such nodes shows."""
+    return image[..., 0] / _SCALE
 
 
 class ExpectedErrors:
@@ -50,8 +62,7 @@ class ExpectedErrors:
     def _renderer(self) -> ForestRenderer:
         errors = errors_of(self._forest)
         assert errors is not None, "errors are known"
-        sh = ((perceptual_from_radiance(_SCALE * errors) - 0.5) / SH_DC).expand(1, 3, -1).contiguous()
-        return ForestRenderer(self._arrays, self._forest.coarsest_alone(sh))
+        return ForestRenderer(self._arrays, self._forest.coarsest_alone(harmonics_of(errors)))
 
     def set_time(self, time: float) -> None:
         """Shows a time from 0 to 1 from now on."""
@@ -61,7 +72,7 @@ class ExpectedErrors:
         """(rows, columns) mean squared error to expect in each cell of a camera's frame."""
         if self._kept is None or self._kept[:2] != (camera, self._time):
             self._renderer.set_time(self._time)
-            drawn = self._renderer.render_layer(camera, 1, _RATE).numpy()[..., 0] / _SCALE
+            drawn = errors_in(self._renderer.render_layer(camera, 1, _RATE).numpy())
             down, across = (-size % _PER_CELL for size in drawn.shape)
             drawn = np.pad(drawn, ((0, down), (0, across)), mode="edge")
             cells = drawn.reshape(len(drawn) // _PER_CELL, _PER_CELL, -1, _PER_CELL).mean(axis=(1, 3))

@@ -12,6 +12,7 @@ import torch
 
 from compose.base.errors import UserError
 from hybrid.preparation import forest_training as module
+from hybrid.preparation.error_learning import with_errors
 from hybrid.preparation.forest_training import checkpoint_path, train
 from hybrid.preparation.training_views import training_view
 from pathtrace.dataset.capture import capture
@@ -111,7 +112,8 @@ def test_the_first_steps_tell_how_many_there_will_be(frames, training_settings, 
         train(frames, tmp_path / "parts", settings, interrupt, paced=paced)
     assert told == [60] * 8 + [45] * 22
     parts = train(frames, tmp_path / "parts", replace(settings, iterations=45))
-    assert parts.digest() == whole.digest()
+    # What a stage does not learn yet.
+    assert parts.digest() == with_errors(frames, whole).digest()
     # The others are over before anybody could tell.
     train(frames, tmp_path / "short", training_settings, paced=paced)
     assert len(asked) == 2
