@@ -167,12 +167,12 @@ def paths() -> str:
         for disc, cells in zip(found[::2], found[1::2], strict=True):
             both = [
                 f"{row['ms']['p50']:.0f} ms, {row['quality']['whole psnr']:.2f} dB, "
-                f"{row['quality']['whole jod']:.2f} JOD"
+                f"{row['quality']['whole jod']:.2f} JOD, {row['quality']['foveal jod']:.2f} in the disc"
                 for row in (disc, cells)
             ]
             rows.append([name.removeprefix("paths-"), str(disc["spp"]), *both])
-    header = ["scene", "spp", "in the disc", "where they are needed"]
-    return _with_provenance(markdown(header, rows), names[0])
+    header = ["scene", "spp", "paths in the disc", "paths where needed"]
+    return _with_provenance(markdown(header, rows), *names)
 
 
 _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
