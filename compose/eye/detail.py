@@ -80,6 +80,8 @@ class DetailMap:
             that the samples carry: blurring further saves no time, and shows.
         steps: what is drawn, from fine to coarse.
         step_index: index into the steps, 0 for the first; between two whole numbers both are blended.
+        levels: continuous levels of detail, standard deviation in pixels that Gaussians may have; None where
+            layers are drawn.
     """
 
     width: int
@@ -90,6 +92,7 @@ class DetailMap:
     low_pass: Lattice
     steps: tuple[Step, ...]
     step_index: Lattice
+    levels: Lattice | None = None
 
     @property
     def drawn_level(self) -> Lattice:

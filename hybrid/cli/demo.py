@@ -24,6 +24,8 @@ def demo(
     fov_b: o.FovB = INTERACTIVE.fov_b,
     spp: o.Spp = INTERACTIVE.spp,
     paths: o.Paths = INTERACTIVE.paths.value,
+    level: o.Level = None,
+    gaussians: o.MostGaussians = None,
     acuity_model: o.AcuityModelName = INTERACTIVE.acuity_model,
     integrator: o.IntegratorName = None,
     target: Annotated[
@@ -86,7 +88,11 @@ def demo(
         display=display,
         integrator=integrator,
         paths=paths,
+        level=level,
+        gaussians=gaussians,
     )
+    if target is not None and settings.is_continuous:
+        raise UserError("--target: chooses layers; leave out --level and --gaussians")
     o.check_writable(out / "picture.png")
     if gaze_trace is not None and simulate:
         raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -134,6 +135,7 @@ def import_file(
     from splat.io.other_formats import load_gaussians
     from splat.io.ply import UNBOUND_FOCAL
     from splat.model.forest import forest_of
+    from splat.model.hierarchy import hierarchy_of
     from splat.model.layer import static_layer
     from splat.model.points import from_world, place_of_gaussians
 
@@ -142,6 +144,9 @@ def import_file(
     layer = static_layer(from_world(gaussians, place))
     # Without a hash of a scene: it fits any.
     imported = forest_of([layer], UNBOUND_FOCAL, source.stem, "", place)
+    with progress_bar("levels of detail (Gaussians)") as bar:
+        hierarchy = hierarchy_of(imported.layers[-1], bar)
+    imported = replace(imported, hierarchy=hierarchy)
     save_forest(target, imported if precision is Precision.FLOAT32 else compact(imported))
     print(f"{target}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 

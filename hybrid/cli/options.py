@@ -20,7 +20,7 @@ from compose.base.errors import MOST_SEED, UserError
 from compose.base.files import json_text, write_whole
 from compose.camera.camera import Camera
 from hybrid.cli.progress import progress_bar
-from hybrid.render.frame_settings import MOST_SPP, FrameSettings
+from hybrid.render.frame_settings import MOST_LEVEL, MOST_SPP, FrameSettings
 from pathtrace.trace.integrator import Integrator
 from splat.model.choices import Precision
 
@@ -110,6 +110,25 @@ FixedSize = Annotated[tuple[int, int], frame("--size", metavar="W H", help="Fram
 Layers = Annotated[
     tuple[int, int] | None,
     frame(metavar="LOW HIGH", help="Coarsest and finest layer to draw; 1 is the coarsest."),
+]
+Level = Annotated[
+    float | None,
+    frame(
+        help="Continuous levels of detail in place of layers: standard deviation that Gaussians may have, in "
+        "the finest details that the eye resolves. 1 is hardly seen.",
+        min=0,
+        max=MOST_LEVEL,
+        callback=finite,
+    ),
+]
+MostGaussians = Annotated[
+    int | None,
+    frame(
+        "--gaussians",
+        help="Continuous levels of detail: draw at most so many Gaussians in the periphery.",
+        min=1,
+        max=MOST_GAUSSIANS,
+    ),
 ]
 AcuityModelName = Annotated[
     str,

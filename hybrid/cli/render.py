@@ -115,6 +115,8 @@ def render(
     ] = None,
     acuity_model: o.AcuityModelName = DEFAULTS.acuity_model,
     layers: o.Layers = None,
+    level: o.Level = None,
+    gaussians: o.MostGaussians = None,
     display: o.DisplayName = "desktop",
     detail: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a PNG of level, rate and eccentricity.")
@@ -153,8 +155,10 @@ def render(
         integrator=integrator,
         time=time or DEFAULTS.time,
         paths=paths,
+        level=level,
+        gaussians=gaussians,
     )
-    _check_layers(layers)
+    _check_layers(settings)
     _check_outputs(output, detail, eyes, gaze_trace is not None or is_path)
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
@@ -203,7 +207,13 @@ def render(
 def _check_measured(settings: FrameSettings, max_depth: int | None) -> None:
     """Refuses a target with settings with which nothing is measured that could be chosen."""
     cells = settings.paths is Placement.WHERE_NEEDED
-    given = {"--layers": settings.layers, "--max-depth": max_depth, "--paths where-needed": cells or None}
+    given = {
+        "--layers": settings.layers,
+        "--level": settings.level,
+        "--gaussians": settings.gaussians,
+        "--max-depth": max_depth,
+        "--paths where-needed": cells or None,
+    }
     for option, value in given.items():
         if value is not None:
             raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
@@ -293,12 +303,15 @@ def measuring_command(
     return shlex.join(words)
 
 
-def _check_layers(layers: tuple[int, int] | None) -> None:
+def _check_layers(settings: FrameSettings) -> None:
     """Refuses layers that no forest has, before one may have to be trained."""
-    if layers is not None and not 1 <= layers[0] <= layers[1]:
-        raise UserError(
-            f"--layers {layers[0]} {layers[1]}: must be the coarsest and the finest to draw, counted from 1"
-        )
+    if settings.layers is None:
+        return
+    low, high = settings.layers
+    if settings.is_continuous:
+        raise UserError("--layers: --level and --gaussians draw no layers; leave out one or the other")
+    if not 1 <= low <= high:
+        raise UserError(f"--layers {low} {high}: must be the coarsest and the finest to draw, counted from 1")
 
 
 def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_video: bool) -> None:
@@ -426,5 +439,7 @@ def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
         "integrator": settings.used_integrator.value,
         "unbiased": settings.is_unbiased,
         "acuity_model": settings.acuity_model,
+        "level": settings.level,
+        "gaussians": settings.gaussians,
         "pixels_per_degree": settings.display.pixels_per_degree,
     }

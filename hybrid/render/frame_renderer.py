@@ -334,7 +334,8 @@ class LiveRenderer(Renderer):
     ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
         view = camera, settings.time
         self._still, self._last_view = view == self._last_view, view
-        if not self._still:
+        # Continuous levels of detail follow the gaze.
+        if not self._still or settings.is_continuous:
             return super()._drawn(camera, settings, region, clock)
         detail = self.periphery.detail(camera, settings)
         clock.lap("detail")

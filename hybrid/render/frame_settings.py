@@ -41,6 +41,8 @@ class Converted(Generic[Given, Kept]):
 EXTRA_AOVS = "splat", "depth"
 # Samples are counted in float32, which holds all whole numbers up to this one.
 MOST_SPP = 1 << 24
+# Of a continuous level of detail, as in the paper that they are from.
+MOST_LEVEL = 100.0
 # A fused estimate of fewer is hardly better than the splats: fewer cells are traced instead.
 _LEAST_SPP_OF_CELLS = 4
 
@@ -110,6 +112,10 @@ class FrameSettings:
         aovs: which of EXTRA_AOVS are rendered with the frame.
         paths: where they are traced. `where-needed` traces as many as the disc takes, in the cells of the
             frame where the forest expects the most visible errors; not in a raw fovea, whose noise is worse.
+        level, gaussians: continuous levels of detail in place of layers, of forests in which nothing moves;
+            both None for layers. The standard deviation that Gaussians may have, in the finest details that
+            the viewer resolves there, over 0 and at most MOST_LEVEL, 1 unless given; and how many are drawn
+            at most in the periphery, by higher levels all over it.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -131,6 +137,8 @@ class FrameSettings:
     time: float = 0.0
     aovs: tuple[str, ...] = ()
     paths: Converted[Placement | str, Placement] = Converted(_placement, Placement.DISC)
+    level: float | None = None
+    gaussians: int | None = None
 
     def __post_init__(self) -> None:
         as_plain_numbers(self)
@@ -147,6 +155,10 @@ class FrameSettings:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
         if not 0 <= self.time <= 1:
             raise UserError(f"time {self.time:g}: must be from 0 to 1")
+        if self.level is not None and not 0 < self.level <= MOST_LEVEL:
+            raise UserError(f"level {self.level:g}: must be over 0 and at most {MOST_LEVEL:g}")
+        if self.gaussians is not None and (not isinstance(self.gaussians, int) or self.gaussians < 1):
+            raise UserError(f"gaussians {self.gaussians}: must be a whole number, 1 or more")
         if unknown := [name for name in self.aovs if name not in EXTRA_AOVS]:
             raise UserError(f"aovs {unknown[0]}: must be of {', '.join(EXTRA_AOVS)}")
 
@@ -167,6 +179,11 @@ class FrameSettings:
     def foveation(self) -> Foveation:
         """Gaze and radii."""
         return Foveation(self.gaze, self.fov_a, self.fov_b)
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether levels of detail are continuous."""
+        return self.level is not None or self.gaussians is not None
 
     @property
     def traces_cells(self) -> bool:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
+from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS, COARSEST_RATE
-from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, detail_map, saliency
+from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, corner_positions, detail_map, saliency
 from compose.fovea.cells import CellRegion
 from compose.fovea.foveation import FoveaRegion
 from hybrid.render.frame_settings import FrameSettings
 from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer, finest_frequency
-from splat.lod.layer_images import LayerImage, SplatImage, Under
+from splat.lod.layer_images import CONTINUOUS, LayerImage, SplatImage, Under, touched_corners
 from splat.model.forest import Forest
 from splat.raster.tiles import TILE
 
@@ -24,6 +26,10 @@ _COARSE = 64
 # Number of Gaussians by whose motion views are compared, at most, and the share of them that counts.
 _LANDMARKS = 512
 _SHARE = 0.9
+# Cycles per pixel: where less is resolved, levels are as high as where this is.
+_COARSEST_CUTOFF = 1 / 256
+# Pixels: a continuous level of detail at which only the smallest Gaussians are drawn.
+_FINEST_LEVEL = 1e-4
 
 
 class _Kept(NamedTuple):
@@ -39,7 +45,7 @@ class ViewSaliency:
     """Computes the saliency of views from a forest's coarsest layer."""
 
     def __init__(self, renderer: ForestRenderer, forest: Forest):
-        self._renderer = renderer
+        self._renderer, self._has_hierarchy = renderer, forest.hierarchy is not None
         means = forest.layers[0].gaussians.means.detach().numpy()  # (3, N)
         self._points = forest.place.in_world(means[:, :: -(-means.shape[1] // _LANDMARKS)].T)
         self._kept: _Kept | None = None
@@ -61,7 +67,12 @@ class ViewSaliency:
 
     def _computed(self, camera: Camera) -> _Kept:
         rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
-        coarse = self._renderer.render_layer(camera, 1, rate).numpy()
+        # Of a forest with a hierarchy, layer 1 may be the only one.
+        layer, levels = 1, None
+        if self._has_hierarchy:
+            layer = CONTINUOUS
+            levels = np.full_like(corner_positions(camera.width, camera.height)[0], 2**rate, np.float32)
+        coarse = self._renderer.render_layer(camera, layer, rate, levels).numpy()
         found = at_corners(saliency(coarse), camera.width, camera.height)
         pixels, depth = camera.project(self._points)
         inside = (pixels >= 0) & (pixels < (camera.width, camera.height))
@@ -110,6 +121,8 @@ class Periphery:
         UserError if the forest does not have the layers that the settings ask for.
         """
         low, high = self.layers_of(settings)
+        if settings.is_continuous:
+            low = high
         unlimited = settings.acuity_model == "none"
         rates = [0 if unlimited else self._finest_rate(camera, settings, n) for n in range(1, high + 1)]
         layers = LayerRange(
@@ -117,7 +130,7 @@ class Periphery:
             tuple(max(rate, settings.rate) for rate in rates),
             low,
         )
-        return detail_map(
+        detail = detail_map(
             settings.display,
             settings.gaze,
             camera.width,
@@ -127,6 +140,9 @@ class Periphery:
             layers,
             None if unlimited else self._saliency.of(camera, moving),
         )
+        if not settings.is_continuous:
+            return detail
+        return replace(detail, levels=self._levels(camera, settings, detail))
 
     def _finest_rate(self, camera: Camera, settings: FrameSettings, layer: int) -> int:
         """Finest useful sampling rate of a layer: it has no detail between its training pixels."""
@@ -146,9 +162,31 @@ class Periphery:
         region: FoveaRegion | CellRegion,
     ) -> tuple[SplatImage, SplatImage]:
         """What `draw` and, with settings, `under_disc` draw, in little more time than `draw` takes."""
-        layers = [LayerImage(one.layer, one.rate, detail.weight(n)) for n, one in enumerate(detail.steps)]
+        levels, layer = detail.levels, lambda own: own if detail.levels is None else CONTINUOUS
+        images = [
+            LayerImage(layer(one.layer), one.rate, detail.weight(n)) for n, one in enumerate(detail.steps)
+        ]
         under = None if settings is None else self._under(settings, region)
-        return self._renderer.render(camera, layers, detail.low_pass, region.peripheral_tiles(TILE), under)
+        if levels is not None and under is not None:
+            # Under the disc lies everything that there is.
+            levels = np.where(touched_corners(under.cells), np.float32(_FINEST_LEVEL), levels).astype(
+                np.float32
+            )
+        tiles = region.peripheral_tiles(TILE)
+        return self._renderer.render(camera, images, detail.low_pass, tiles, under, levels)
+
+    def _levels(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> NDArray[np.float32]:
+        """(rows + 1, columns + 1) continuous levels of detail at the corners of cells, in pixels."""
+        if settings.layers is not None:
+            raise UserError(f"layers {settings.layers}: continuous levels of detail have none; leave out one")
+        if self.forest.motion is not None or self.forest.light is not None:
+            raise UserError(f"level, gaussians: something moves in the forest of {self.forest.scene_name}")
+        # What is resolved, at most half a cycle per pixel, takes two samples per cycle.
+        resolved = np.maximum(detail.cutoff, np.float32(_COARSEST_CUTOFF))
+        levels = np.float32((settings.level or 1.0) * 0.5) / resolved
+        if settings.gaussians is not None:
+            levels *= np.float32(self._renderer.least_factor(camera, levels, settings.gaussians))
+        return levels
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion | CellRegion
@@ -174,10 +212,12 @@ class Periphery:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
         under = self._under(settings, region)
         nothing = np.zeros((under.cells.shape[0] + 1, under.cells.shape[1] + 1), np.float32)
-        return self._renderer.render(camera, [], nothing, np.zeros_like(under.cells), under)[1]
+        finest = nothing + np.float32(_FINEST_LEVEL)
+        return self._renderer.render(camera, [], nothing, np.zeros_like(under.cells), under, finest)[1]
 
     def _under(self, settings: FrameSettings, region: FoveaRegion | CellRegion) -> Under:
-        return Under(self.layers_of(settings)[1], region.foveal_tiles(TILE))
+        layer = CONTINUOUS if settings.is_continuous else self.layers_of(settings)[1]
+        return Under(layer, region.foveal_tiles(TILE))
 
     def enlargement(self, camera: Camera, settings: FrameSettings) -> float:
         """Side of the pixels that the finest allowed layer was trained on, in pixels of a camera."""

@@ -30,11 +30,13 @@ from splat.io.tensors import (
 from splat.model.dynamic_light import LightCourse
 from splat.model.forest import Forest
 from splat.model.gaussians import TENSORS, Blending, Directional, Gaussians
+from splat.model.hierarchy import Hierarchy
 from splat.model.layer import LABELS, Layer, check_forest
 from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics, NodeMotion
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
+_HIERARCHY = "hierarchy.children"
 # In the metadata of compact files: type and shape of each packed tensor.
 _PACKED = "packed"
 _BLENDING = "blending"
@@ -68,6 +70,8 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         if part is not None:
             groups[prefix] = part.tensors()
     tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
+    if forest.hierarchy is not None:
+        tensors[_HIERARCHY] = forest.hierarchy.children
     codes = exactly_encoded(forest)
     if codes is not None:
         tensors, kinds = packed({**codes, **tensors})
@@ -101,7 +105,8 @@ def load_forest(path: str | Path) -> Forest:
         scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])
         attached, place = under(_ATTACHED, tensors), _place(metadata)
         motion, light = _motion(tensors), _light(tensors)
-        forest = Forest(nodes, counts, focal, *scene, attached, place, motion, light)
+        hierarchy = _hierarchy(tensors, counts[-1]) if counts else None
+        forest = Forest(nodes, counts, focal, *scene, attached, place, motion, light, hierarchy)
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: damaged forest file ({one_line(error)}); train it again") from error
@@ -147,6 +152,18 @@ def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     if not bool((torch.isfinite(factors) & (factors >= 0)).all()):
         raise ValueError("factors of light that are not finite, or negative")
     return light
+
+
+def _hierarchy(tensors: dict[str, torch.Tensor], leaves: int) -> Hierarchy | None:
+    """The hierarchy over so many Gaussians; None in a file that has none."""
+    children = tensors.get(_HIERARCHY)
+    if children is None:
+        return None
+    if children.dtype != torch.int32 or children.ndim != 2 or children.shape[1] != 2:
+        raise ValueError("a hierarchy that is not pairs of int32 numbers")
+    hierarchy = Hierarchy(children)
+    hierarchy.parents(leaves)
+    return hierarchy
 
 
 def _blended(nodes: Layer, metadata: dict[str, Any]) -> Layer:

@@ -6,7 +6,8 @@ Only layers that are drawn are brought to a time (Fov-GS, section 3.4: selection
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import accumulate, pairwise, starmap
 from typing import Any
 
@@ -17,6 +18,8 @@ import torch
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
 from compose.camera.camera import Camera
+from splat.lod.cut import HierarchyCut, Turned, turned_footprints
+from splat.lod.layer_images import CONTINUOUS, Lattice
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
 from splat.model.gaussians import Directional, Gaussians, as_rows
@@ -97,6 +100,14 @@ _FOOTPRINT = RecordLayout((8, 4), (), **{field.name: 1 for field in fields(Footp
 _NODE_LOAD = 8
 
 
+@dataclass(frozen=True)
+class _CutNodes:
+    """The nodes of a hierarchy on the device."""
+
+    selection: HierarchyCut
+    table: _NodeTable
+
+
 class ForestFootprints:
     """Footprints of a forest's layers, cached for the latest camera."""
 
@@ -111,6 +122,7 @@ class ForestFootprints:
             _LayerBounds(arrays, forest.nodes.gaussians, first, end, changes.moves)
             for (first, end), changes in zip(ranges, self._changes, strict=True)
         ]
+        self._forest, self._levels = forest, b""
         self._key: tuple[bytes, float] | None = None
         self._layers: dict[int, tuple[Records, Any, int] | None] = {}
         # The records of all cached layers, as they were asked for last, and where each layer lies among them.
@@ -133,23 +145,32 @@ class ForestFootprints:
         if lit is not None:
             self._nodes.light(*lit)
 
-    def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[range]:
+    def layers(
+        self, camera: Camera, blur: float, layers: Sequence[int], levels: Lattice | None = None
+    ) -> list[range]:
         """Where the nodes of some layers that may show in a camera's frame lie among all footprints.
 
         Each layer's lie together, from near to far. `blur` is the widest filter that will be used, as a
-        multiple of the filter at the pixel grid.
+        multiple of the filter at the pixel grid; `levels` are those of the layer CONTINUOUS, if it is asked
+        for (`splat.lod.cut`).
         """
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
             # Rounded up, since the filter's width changes with the gaze.
             self._key = camera.key, 2.0 ** np.ceil(np.log2(blur))
+        if levels is not None and levels.tobytes() != self._levels:
+            self._levels = levels.tobytes()
+            self._layers.pop(CONTINUOUS, None)
         # A layer at two rates is two images of the same nodes.
         new = [n for n in dict.fromkeys(layers) if n not in self._layers]
         if new:
             own = self._place.camera(camera)
             for n in new:
-                self._change(n, own)
-                self._layers[n] = self._visible(own, n, self._key[1])
+                if n == CONTINUOUS and levels is not None:
+                    self._layers[n] = self._in_cut(own, levels, self._key[1])
+                else:
+                    self._change(n, own)
+                    self._layers[n] = self._visible(own, n, self._key[1])
             parts = [part for part in self._layers.values() if part is not None]
             self.records = concatenated_records(parts) if parts else None
             counts = (0 if part is None else part[2] for part in self._layers.values())
@@ -157,12 +178,22 @@ class ForestFootprints:
             self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
 
+    @cached_property
+    def cut(self) -> _CutNodes:
+        """The nodes of the forest's hierarchy."""
+        nodes = self._forest.hierarchy_nodes
+        return _CutNodes(HierarchyCut(self.arrays, nodes), _NodeTable(self.arrays, nodes.gaussians))
+
+    def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
+        """What levels are to be multiplied by, 1 or more, for at most so many nodes to be drawn."""
+        return self.cut.selection.least_factor(self._place.camera(camera), levels, most)
+
     def _visible(self, camera: Camera, layer: int, blur: float) -> tuple[Records, Any, int] | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates.
 
         Records, indices from near to far, and how many of those matter.
         """
-        bounds, plain = self._bounds[layer - 1], self.arrays.plain
+        bounds = self._bounds[layer - 1]
         if not dr.width(bounds.size):
             return None
         low_pass = PIXEL_FILTER * blur**2
@@ -171,8 +202,18 @@ class ForestFootprints:
         count = dr.width(index)
         if not count:
             return None
-        records, depth = self._nodes.footprints(index + bounds.first, camera)
-        known = dr.arange(plain.UInt, dr.width(depth)) < self.arrays.constant(count)
+        return self._ordered(*self._nodes.footprints(index + bounds.first, camera), count)
+
+    def _in_cut(self, camera: Camera, levels: Lattice, blur: float) -> tuple[Records, Any, int] | None:
+        """What `_visible` returns, of the nodes of the hierarchy that levels ask for."""
+        index, turned = self.cut.selection.nodes(camera, levels, blur)
+        count = dr.width(index)
+        if not count:
+            return None
+        return self._ordered(*self.cut.table.footprints(index, camera, turned), count)
+
+    def _ordered(self, records: Records, depth: Any, count: int) -> tuple[Records, Any, int]:
+        known = dr.arange(self.arrays.plain.UInt, dr.width(depth)) < self.arrays.constant(count)
         return records, depth_order(self.arrays, depth, known), count
 
 
@@ -224,40 +265,59 @@ class _NodeTable:
         if self._directional is not None and gaussians.directional is not None:
             self._directional.light(nodes, gaussians.directional)
 
-    def footprints(self, index: Any, camera: Camera) -> tuple[Records, Any]:
-        """Footprints and depths of the nodes at an index (M,); behind them any, up to a capacity."""
-        arrays, count, added = self._arrays, dr.width(index), None
-        if self._directional is not None:
-            # What they show to a camera, as constant harmonics.
-            added = self._directional.constant(index, self._records, camera)
-        dr.eval(index, added)
+    def footprints(self, index: Any, camera: Camera, turned: Turned | None = None) -> tuple[Records, Any]:
+        """Footprints and depths of the nodes at an index (M,); behind them any, up to a capacity.
+
+        Nodes may have turned into others.
+        """
+        arrays, count = self._arrays, dr.width(index)
+        shown = [self._shown(index, camera)]
+        if turned is not None:
+            shown.append(self._shown(turned.parent, camera))
+        dr.eval(shown, turned)
         view = camera_numbers(arrays, camera, self._blending), self._coefficients, capacity(count)
-        return _footprints(arrays, self._records, index, arrays.constant(count), added, *view)
+        return _footprints(arrays, self._records, shown, turned, arrays.constant(count), *view)
+
+    def _shown(self, index: Any, camera: Camera) -> tuple[Any, list[Any] | None]:
+        """An index (M,), and what the nodes there show to a camera beside constant harmonics, as such."""
+        if self._directional is None:
+            return index, None
+        return index, self._directional.constant(index, self._records, camera)
 
 
 def footprints_of_nodes(
     arrays: Arrays,
     nodes: Records,
-    index: Any,
+    shown: list[tuple[Any, list[Any] | None]],
+    turned: Turned | None,
     count: Any,
-    added: list[Any] | None,
     view: CameraNumbers,
     coefficients: int,
     size: int,
 ) -> tuple[Records, Any]:
-    """`size` footprints and their depths, of which the first `count` are those of nodes at an index (M,).
+    """`size` footprints and their depths, of which the first `count` are those of some nodes.
 
-    `added` are three channels (M,), to be added to their constant harmonics, of which they have no others.
+    Args:
+        shown: indices (M,) of the nodes, and of those that they turn into, if they do; with each three
+            channels (M,), to be added to their constant harmonics if they have no others.
+        turned: how far they have (M,); None if they do not.
     """
     lane = dr.arange(arrays.plain.UInt, size)
     known = lane < count
-    node = nodes.at(dr.gather(arrays.plain.UInt, index, lane, known))
-    sh = [node.sh[3 * k : 3 * k + 3] for k in range(coefficients)]
-    if added is not None:
-        more = (dr.gather(type(channel), channel, lane, known) for channel in added)
-        sh = [[own + further for own, further in zip(sh[0], more, strict=True)]]
-    parameters = Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh)
-    raw = footprints(parameters, view)
+
+    def projected(index: Any, added: list[Any] | None) -> Footprints:
+        node = nodes.at(dr.gather(arrays.plain.UInt, index, lane, known))
+        sh = [node.sh[3 * k : 3 * k + 3] for k in range(coefficients)]
+        if added is not None:
+            more = (dr.gather(type(channel), channel, lane, known) for channel in added)
+            sh = [[own + further for own, further in zip(sh[0], more, strict=True)]]
+        return footprints(
+            Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh), view
+        )
+
+    raw = projected(*shown[0])
+    if turned is not None:
+        raw = turned_footprints(raw, projected(*shown[1]), turned.at(lane, known))
     return _FOOTPRINT.pack(arrays, **vars(raw)), raw.depth
 
 

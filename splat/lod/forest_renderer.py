@@ -25,6 +25,7 @@ from compose.camera.camera import Camera
 from splat.lod.compositing import Mixture, composite, composited
 from splat.lod.footprints import ForestFootprints
 from splat.lod.layer_images import (
+    CONTINUOUS,
     NYQUIST,
     AtlasEntry,
     AtlasPart,
@@ -78,6 +79,7 @@ class ForestRenderer:
         cutoff: Lattice,
         wanted: Mask,
         under: Under | None = None,
+        levels: Lattice | None = None,
     ) -> tuple[SplatImage, SplatImage]:
         """Renders and composites layer images; the second image is to lie under the frame.
 
@@ -87,6 +89,8 @@ class ForestRenderer:
                 cells of TILE pixels; 0 or more.
             wanted: (rows, columns) bool, cells that are drawn at all.
             under: what the second image shows, which is black elsewhere; None for nothing.
+            levels: (rows + 1, columns + 1) over 0, standard deviation in pixels that nodes of continuous
+                levels of detail may have, at the corners of cells; None if no image has those.
 
         Raises:
             ValueError: the forest has no such layer, or a cut-off is negative or not a number.
@@ -103,12 +107,20 @@ class ForestRenderer:
         mixed = pack_atlas(images, wanted & ~alone, _rows_of(parts))
         if mixed:
             parts.append(AtlasPart.of(mixed, step))
-        drawn = self._drawn(camera, parts, cutoff, mixes=bool(mixed), over=own is not None)
+        drawn = self._drawn(camera, parts, cutoff, mixes=bool(mixed), over=own is not None, levels=levels)
         frame = drawn.pop(0) if own is not None or mixed else black_image(self.arrays, camera)
         return frame, drawn[0] if drawn else black_image(self.arrays, camera)
 
-    def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
+    def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
+        """What continuous levels must be multiplied by, 1 or more, for at most so many nodes to be drawn."""
+        return self._footprints.least_factor(camera, levels, most)
+
+    def render_layer(
+        self, camera: Camera, layer: int, rate: int = 0, levels: Lattice | None = None
+    ) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
+
+        `levels` are as in `render`.
 
         Raises:
             ValueError: the forest has no such layer.
@@ -116,7 +128,7 @@ class ForestRenderer:
         grid = TileGrid(camera.width, camera.height)
         image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
         part = AtlasPart.of(pack_atlas([image], grid.mask(None)))
-        (samples,) = self._drawn(camera, [part], NYQUIST * image.weight, rate)
+        (samples,) = self._drawn(camera, [part], NYQUIST * image.weight, rate, levels=levels)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
     def _drawn(
@@ -127,6 +139,7 @@ class ForestRenderer:
         rate: int = 0,
         mixes: bool = False,
         over: bool = False,
+        levels: Lattice | None = None,
     ) -> list[SplatImage]:
         """An image of each part, which lie one above the other, from the top down.
 
@@ -135,8 +148,8 @@ class ForestRenderer:
         that comes before all. `rate` is the finest that entries may have.
         """
         arrays, entries = self.arrays, [entry for part in parts for entry in part.entries]
-        self._check(entries, cutoff)
-        table = self._table(camera, entries, cutoff) if entries else None
+        self._check(entries, cutoff, levels)
+        table = self._table(camera, entries, cutoff, levels) if entries else None
         black = [black_image(arrays, camera) for _ in parts[mixes and over :]]
         if table is None:
             return black
@@ -171,15 +184,17 @@ class ForestRenderer:
             for image, shape in zip(images, shapes, strict=True)
         ]
 
-    def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice) -> None:
-        count = len(self.forest.counts)
+    def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice, levels: Lattice | None) -> None:
+        count, least = len(self.forest.counts), 1 if levels is None else CONTINUOUS
         for entry in entries:
-            if not 1 <= entry.image.layer <= count:
+            if not least <= entry.image.layer <= count:
                 raise ValueError(f"layer {entry.image.layer}: the forest has layers 1 to {count}")
         if not (cutoff >= 0).all():
             raise ValueError(f"cut-off of {cutoff.min():g} cycles per pixel: must be 0 or more")
 
-    def _table(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> EntryTable | None:
+    def _table(
+        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, levels: Lattice | None
+    ) -> EntryTable | None:
         """The entries and the footprints that may show in them; None if there is none."""
         # A cut-off of 0 is that of the widest filter.
         cutoff = np.maximum(cutoff, NYQUIST / _WIDEST_BLUR, dtype=np.float32)
@@ -187,11 +202,12 @@ class ForestRenderer:
         for entry in entries:
             # The layer was trained with a filter of its training frames' pixels, and the grid of samples
             # requires one of its own.
-            least = max(camera.fy / self.forest.focal_of(entry.image.layer), 2.0**entry.image.rate)
+            layer = len(self.forest.counts) if entry.image.layer == CONTINUOUS else entry.image.layer
+            least = max(camera.fy / self.forest.focal_of(layer), 2.0**entry.image.rate)
             kept = NYQUIST if entry.is_sharp else float(lowest[entry.cells].min())
             blurs.append((max(NYQUIST / kept, least), least))
         widest = max(blur for blur, _ in blurs)
-        nodes = self._footprints.layers(camera, widest, [entry.image.layer for entry in entries])
+        nodes = self._footprints.layers(camera, widest, [entry.image.layer for entry in entries], levels)
         if not any(map(len, nodes)):
             return None
         return EntryTable.of_entries(self.arrays, entries, nodes, blurs, cutoff)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -18,13 +19,15 @@ Lattice = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 # Highest frequency that samples carry, in cycles per sample.
 NYQUIST = 0.5
+# In place of a layer: the nodes of the forest's hierarchy that levels ask for (`splat.lod.cut`).
+CONTINUOUS = 0
 
 
 @dataclass(frozen=True)
 class LayerImage:
     """One layer at one sampling rate, and its weight in the frame."""
 
-    layer: int  # 1, the coarsest, to L
+    layer: int  # 1, the coarsest, to L; or CONTINUOUS
     rate: int  # log2 of pixels per sample along each axis, 0 for every pixel
     # (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells of TILE pixels, linear
     # between them.
@@ -72,7 +75,7 @@ class AtlasPart:
 class Under:
     """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves."""
 
-    layer: int  # 1, the coarsest, to L
+    layer: int  # 1, the coarsest, to L; or CONTINUOUS
     cells: Mask  # (rows, columns) bool, cells of TILE pixels of the frame
 
     def entry(self, top: int) -> AtlasEntry:
@@ -101,9 +104,17 @@ def covered_cells(weight: Lattice) -> Mask:
     return np.maximum.reduce(at_corners(weight)) > 0
 
 
-def at_corners(lattice: Lattice) -> list[Lattice]:
+def at_corners(lattice: NDArray[Any]) -> list[NDArray[Any]]:
     """A lattice at the four corners of each cell, (rows, columns) each."""
     return [lattice[:-1, :-1], lattice[1:, :-1], lattice[:-1, 1:], lattice[1:, 1:]]
+
+
+def touched_corners(cells: Mask) -> Mask:
+    """(rows + 1, columns + 1) the corners of cells that are set."""
+    touched = np.zeros((cells.shape[0] + 1, cells.shape[1] + 1), dtype=bool)
+    for corner in at_corners(touched):
+        corner |= cells
+    return touched
 
 
 def _joined(mask: Mask, size: int) -> Mask:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.dynamic_light import LightCourse, SurfaceLight
 from splat.model.gaussians import Blending, Gaussians
+from splat.model.hierarchy import Hierarchy, HierarchyNodes, hierarchy_of
 from splat.model.layer import Layer, concatenated_layers
 from splat.model.motion import Dynamics
 from splat.model.points import rows_of, z_curve_order
@@ -37,6 +39,7 @@ class Forest:
         motion: of the instances that dynamic nodes belong to, in the same coordinates; None if nothing moves.
             The nodes are those at rest.
         light: how the radiance of some nodes changes over time; None if it does not.
+        hierarchy: over the Gaussians of layer L, for continuous levels of detail; None if none is stored.
 
     Raises:
         ValueError: there are no layers, their counts do not sum to the number of nodes, a node belongs to an
@@ -52,6 +55,7 @@ class Forest:
     place: Place = WORLD
     motion: Dynamics | None = None
     light: LightCourse | None = None
+    hierarchy: Hierarchy | None = None
 
     def __post_init__(self) -> None:
         if not self.counts:
@@ -78,9 +82,15 @@ class Forest:
         """The Gaussians of layer L."""
         return self.layers[-1].gaussians
 
+    @cached_property
+    def hierarchy_nodes(self) -> HierarchyNodes:
+        """The nodes of the hierarchy, which is built now if there is none; the first are those of layer L."""
+        finest = self.layers[-1]
+        return (self.hierarchy or hierarchy_of(finest)).nodes(finest.gaussians)
+
     def coarsest_alone(self, sh: torch.Tensor | None = None) -> Forest:
         """The coarsest layer as a forest, in usual light; with constant harmonics (1, 3, N), if given."""
-        layer, alone = self.layers[0], replace(self, attached={}, light=None)
+        layer, alone = self.layers[0], replace(self, attached={}, light=None, hierarchy=None)
         if sh is not None:
             shown = replace(layer.gaussians, sh=sh, directional=None, blending=Blending.LINEAR)
             layer = replace(layer, gaussians=shown)

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
-from splat.model.gaussians import Gaussians, written
+from splat.model.gaussians import (
+    SH_DC,
+    Blending,
+    Gaussians,
+    perceptual_from_radiance,
+    radiance_from_perceptual,
+    written,
+)
 from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers, without_parents
 from splat.model.points import Floats, Ints, Neighbours, quaternions_xyzw, remoteness, rows_of, z_curve_order
 
@@ -23,8 +30,9 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     """Merges N pairs of Gaussians of one degree, which are blended alike.
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
-    the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
-    (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two has.
+    the standard deviations as sides. Mean, covariance and colour, as it is blended, are means weighted by w;
+    the opacity is (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two
+    has.
     """
     # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
     weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
@@ -45,6 +53,9 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
     logits, part = log_opacity - np.log1p(-np.exp(log_opacity)), to_torch(share)
     sh = part * a.all_turning().sh + (1 - part) * b.all_turning().sh
+    if a.blending is Blending.LINEAR:
+        radiance = [radiance_from_perceptual((0.5 + SH_DC * g.sh[0]).detach().clamp(min=0)) for g in (a, b)]
+        sh[0] = (perceptual_from_radiance(part * radiance[0] + (1 - part) * radiance[1]) - 0.5) / SH_DC
     shape = map(to_torch, (mean.T, log_scales.T, quaternion.T, logits))
     merged = Gaussians(*[*shape, sh], blending=a.blending)
     if a.directional is None and b.directional is None:

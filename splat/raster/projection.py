@@ -229,14 +229,11 @@ def directional_constant(arrays: Arrays, sh: list[list[Any]], means: list[Any], 
     return [channel / SH_DC for channel in sh_sums(sh, basis)]
 
 
-def view_position(
-    arrays: Arrays, means: list[Any], camera: Camera, blending: Blending = Blending.LINEAR
-) -> tuple[Any, Any, Any, Any]:
+def view_position(means: list[Any], view: CameraNumbers) -> tuple[Any, Any, Any, Any]:
     """Positions of centres on the film: whether in front, x, y in pixels, and pixels per unit of length.
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
     """
-    view = camera_numbers(arrays, camera, blending)
     (fx, fy), (cx, cy), (limit_x, limit_y) = view.focal, view.centre, view.limits
     vx, vy, vz = _in_camera(view.rotation, _from_eye(means, view.eye))
     seen = vz > NEAR
@@ -245,6 +242,12 @@ def view_position(
     tilt = dr.square(dr.minimum(dr.abs(tx), limit_x)) + dr.square(dr.minimum(dr.abs(ty), limit_y))
     spread = inverse_z * dr.sqrt(1 + tilt) * dr.maximum(fx, fy)
     return seen, dr.fma(tx, fx, cx), dr.fma(ty, fy, cy), spread
+
+
+def distance(means: list[Any], view: CameraNumbers) -> Any:
+    """Distances of centres from the eye."""
+    from_eye = _from_eye(means, view.eye)
+    return dr.float32_array_t(type(from_eye[0]))(dr.sqrt(sum(part * part for part in from_eye)))
 
 
 def may_show(
@@ -259,10 +262,16 @@ def may_show(
 
     Their sizes (N,) are longest axes, as standard deviations; the low-pass is as in `project`.
     """
-    seen, x, y, spread = view_position(arrays, means, camera, blending)
-    added = low_pass if blending is Blending.LINEAR else max(low_pass, _DILATION)
+    view = camera_numbers(arrays, camera, blending)
+    return within_frame(view_position(means, view), size, view, low_pass)
+
+
+def within_frame(position: tuple[Any, Any, Any, Any], size: Any, view: CameraNumbers, low_pass: Any) -> Any:
+    """What `may_show` returns, of positions that `view_position` found; the low-pass may be an array."""
+    seen, x, y, spread = position
+    added = dr.maximum(low_pass, _DILATION) if view.encoded else low_pass
     reach = _REACH * dr.sqrt(dr.square(size * spread) + added)
-    half_width, half_height = camera_numbers(arrays, camera).half
+    half_width, half_height = view.half
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -77,9 +78,14 @@ def test_an_exported_forest_is_imported_and_fits_any_scene(made, monkeypatch, tm
     imported = load_forest(tmp_path / "b.forest")
     assert imported.counts == (len(load_forest(made / "box.forest").finest),)
     assert (imported.scene_name, imported.scene_hash) == ("a", "")
+    assert imported.hierarchy is not None
     assert "b.forest: " in capsys.readouterr().out
     common = ["render", "cornell", "--forest", tmp_path / "b.forest", "--size", 40, 30]
     assert run(monkeypatch, *common, "-o", tmp_path / "b.png") == 0
+    facts = tmp_path / "few.json"
+    few = ["--gaussians", 100, "-o", tmp_path / "few.png", "--json", facts]
+    assert run(monkeypatch, *common, *few) == 0
+    assert json.loads(facts.read_text())["gaussians"] == 100
 
 
 def test_a_real_ply_goes_through_import(monkeypatch, tmp_path):

@@ -140,6 +140,18 @@ MISTAKES = {
         ["render", "cornell", "--paths", "where-needed", "--target-ms", "50", "-o", "{tmp}/a.png"],
         "nothing is measured with --paths where-needed",
     ),
+    "layers and none": (
+        ["render", "cornell", "--layers", "1", "2", "--level", "2", "-o", "{tmp}/a.png"],
+        "--layers: --level and --gaussians draw no layers",
+    ),
+    "levels that no target was measured with": (
+        ["render", "cornell", "--gaussians", "5000", "--target-ms", "50", "-o", "{tmp}/a.png"],
+        "nothing is measured with --gaussians",
+    ),
+    "levels that a target would choose": (
+        ["demo", "cornell", "--target", "30", "--level", "2"],
+        "--target: chooses layers; leave out --level and --gaussians",
+    ),
     "paths in an unknown place": (
         ["render", "cornell", "--paths", "everywhere", "-o", "{tmp}/a.png"],
         "paths everywhere: must be disc or where-needed",

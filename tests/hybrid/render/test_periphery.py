@@ -6,15 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from compose.base.errors import UserError
-from compose.eye.detail import CELL
+from compose.eye.detail import CELL, at_corners, saliency
 from compose.fovea.foveation import FoveaRegion
 from hybrid.measure.image_metrics import psnr
 from hybrid.render import periphery as module
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery, ViewSaliency
 from splat.lod.forest_renderer import ForestRenderer
+from splat.lod.layer_images import CONTINUOUS
+from splat.model.dynamic_light import LightCourse
+from splat.model.hierarchy import hierarchy_of
 
 WIDTH, HEIGHT = 96, 80
 NONE = FrameSettings(acuity_model="none", fov_a=30, fov_b=20)
@@ -195,3 +199,65 @@ def test_layers_are_drawn_again_only_when_camera_or_layers_change(arrays, forest
     assert draw(camera, replace(NONE, layers=(1, 2))) == 4
     assert draw(camera, replace(NONE, layers=(1, 2), rate=1)) == 5
     assert [steps[0] for steps in drawn] == [(3, 0), (3, 0), (3, 0), (2, 0), (2, 1)]
+
+
+FINEST = replace(NONE, level=1e-4)
+
+
+def test_the_finest_continuous_level_is_the_finest_layer(periphery, camera):
+    settings = replace(FINEST, fov_a=0, fov_b=0)
+    drawn = periphery.draw(camera, periphery.detail(camera, settings), NOWHERE)
+    np.testing.assert_array_equal(drawn.numpy(), periphery.whole(camera, NONE).numpy())
+
+
+def test_continuous_levels_follow_what_is_resolved(periphery, camera):
+    """A level of 2 in as many pixels as the finest detail takes, at the gaze and far away from it."""
+    near, far = (
+        periphery.detail(camera, replace(GEISLER, level=2.0, gaze=gaze)) for gaze in ((0.5, 0.5), (-6, -6))
+    )
+    for detail in (near, far):
+        np.testing.assert_allclose(detail.levels, 1 / np.maximum(detail.cutoff, 1 / 256), rtol=1e-5)
+    assert far.levels.min() > near.levels.max()
+
+
+def test_fewer_gaussians_are_drawn_where_that_is_asked_for(periphery, camera):
+    settings = replace(FINEST, fov_a=0, fov_b=0)
+    every = periphery.draw(camera, periphery.detail(camera, settings), NOWHERE)
+    few = replace(settings, level=None, gaussians=every.nodes // 4)
+    drawn = periphery.draw(camera, periphery.detail(camera, few), NOWHERE)
+    assert 0.1 * every.nodes < drawn.nodes <= 0.3 * every.nodes
+    assert psnr(drawn.numpy(), every.numpy()) > 15
+
+
+def test_under_the_disc_lies_everything_whatever_is_left_around_it(periphery, camera):
+    settings = replace(NONE, level=4.0, fov_a=60, fov_b=50)
+    region, detail = region_of(settings), periphery.detail(camera, settings)
+    alone = periphery.under_disc(camera, settings, region).numpy()
+    _, under = periphery.draw_with_disc(camera, settings, detail, region)
+    whole = periphery.whole(camera, NONE).numpy()
+    wanted = np.kron(region.foveal_tiles(CELL), np.ones((CELL, CELL), dtype=bool))
+    np.testing.assert_allclose(alone[wanted], whole[wanted], atol=1e-5)
+    # Nodes around the disc are large ones, whose tails reach into it.
+    inside = np.s_[32:48, 32:64]
+    assert psnr(under.numpy()[inside], whole[inside]) > 25
+
+
+def test_continuous_levels_have_no_layers(periphery, camera):
+    with pytest.raises(UserError, match=r"layers .1, 2.: continuous levels of detail have none"):
+        periphery.detail(camera, replace(FINEST, layers=(1, 2)))
+
+
+def test_what_moves_has_no_continuous_levels(arrays, forest, camera):
+    light = LightCourse(torch.tensor([0]), torch.ones(2, 3, 1).half())
+    lit = Periphery(arrays, replace(forest, light=light))
+    with pytest.raises(UserError, match="level, gaussians: something moves in the forest of"):
+        lit.detail(camera, FINEST)
+
+
+def test_the_attention_of_a_forest_with_a_hierarchy_is_found_in_few_gaussians(arrays, forest, camera):
+    own = replace(forest, hierarchy=hierarchy_of(forest.layers[-1]))
+    renderer = ForestRenderer(arrays, own)
+    levels = np.full((HEIGHT // CELL + 1, WIDTH // CELL + 1), 2.0, np.float32)
+    coarse = renderer.render_layer(camera, CONTINUOUS, 1, levels)
+    found = ViewSaliency(renderer, own).of(camera)
+    np.testing.assert_allclose(found, at_corners(saliency(coarse.numpy()), WIDTH, HEIGHT), atol=1e-6)

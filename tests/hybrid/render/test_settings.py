@@ -34,6 +34,8 @@ OTHERS = {
     "fill": False,
     "time": 0.5,
     "paths": Placement.WHERE_NEEDED,
+    "level": 2.0,
+    "gaussians": 1000,
 }
 
 
@@ -238,3 +240,24 @@ def test_numbers_of_numpy_are_numbers():
     json.dumps(given.as_json())
     with pytest.raises(UserError, match="spp 0: must be a whole number"):
         FrameSettings(spp=np.int64(0))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"level": 0.0}, "level 0: must be over 0 and at most 100"),
+        ({"level": float("nan")}, "level nan: must be over 0"),
+        ({"level": 101.0}, "level 101: must be"),
+        ({"gaussians": 0}, "gaussians 0: must be a whole number"),
+        ({"gaussians": 10.5}, "gaussians 10.5: must be a whole number"),
+    ],
+)
+def test_levels_out_of_range_are_named(given, said):
+    with pytest.raises(UserError, match=said):
+        FrameSettings(**given)
+
+
+def test_levels_are_continuous_where_they_or_a_number_are_given():
+    assert not DEFAULTS.is_continuous
+    assert FrameSettings(level=1.0).is_continuous
+    assert FrameSettings(gaussians=5000).is_continuous

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
@@ -16,6 +17,7 @@ from splat.io.forest_file import load_forest, save_forest
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Blending
+from splat.model.hierarchy import Hierarchy, hierarchy_of
 from splat.model.layer import static_layer
 from splat.model.trees import build_forest
 from tests.splat.samples import equal, gaussians
@@ -49,6 +51,27 @@ def test_attached_tensors_come_back(tmp_path):
     assert all(torch.equal(back.attached[name], attached[name]) for name in attached)
     assert equal(back.nodes.gaussians, made.nodes.gaussians)
     assert back.digest() == made.digest()
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_the_hierarchy_comes_back(rounded, tmp_path):
+    made = forest()
+    made = replace(compact(made) if rounded else made, hierarchy=hierarchy_of(made.layers[-1]))
+    save_forest(tmp_path / "f", made)
+    back = load_forest(tmp_path / "f")
+    assert len(made.hierarchy) > 10
+    assert torch.equal(back.hierarchy.children, made.hierarchy.children)
+    assert equal(back.hierarchy_nodes.gaussians, made.hierarchy_nodes.gaussians)
+
+
+@pytest.mark.parametrize(
+    "children", [[[0, 900]], [[0, 1], [1, 2]], [[0, -1]], [[0, 1, 2]], [0, 1], [[0.0, 1.0]]]
+)
+def test_a_damaged_hierarchy_is_named(children, tmp_path):
+    dtype = torch.float32 if isinstance(np.ravel(children)[0], float) else torch.int32
+    save_forest(tmp_path / "f", replace(forest(), hierarchy=Hierarchy(torch.tensor(children, dtype=dtype))))
+    with pytest.raises(UserError, match=r"damaged forest file .a hierarchy"):
+        load_forest(tmp_path / "f")
 
 
 def test_the_file_has_its_documented_keys(tmp_path):

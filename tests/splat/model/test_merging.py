@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import SH_DC, Blending, Gaussians
 from splat.model.trees import merge
 from tests.splat.raster.reference import double, rotation_matrix
 from tests.splat.samples import gaussians, spheres
@@ -27,7 +29,16 @@ def test_two_spheres_by_hand():
     s1, s2, s3 = np.sqrt([22 / 7, 22 / 7, 244 / 49])
     expected = (2.4 + 6) / (s1 * s2 + s1 * s3 + s2 * s3)
     assert torch.sigmoid(parent.opacity_logits)[0].item() == pytest.approx(expected, rel=1e-5)
-    assert parent.sh[0, 0, 0].item() == pytest.approx(5, rel=1e-5)
+    # Colours are blended as radiance, of which coefficients give values of the sRGB curve.
+    radiance = lambda coefficient: ((0.5 + SH_DC * coefficient + 0.055) / 1.055) ** 2.4  # noqa: E731
+    mixed = 2 / 7 * radiance(0) + 5 / 7 * radiance(7)
+    assert radiance(parent.sh[0, 0, 0].item()) == pytest.approx(mixed, rel=1e-5)
+
+
+def test_display_encoded_colours_are_blended_as_such():
+    a, b = (replace(g, blending=Blending.DISPLAY) for g in (spheres([0.0], [1.0]), spheres([0.0], [1.0])))
+    b.sh[:] = 2.0
+    assert merge(a, b).sh[0, 0, 0].item() == pytest.approx(1, rel=1e-5)
 
 
 def test_the_opacity_is_at_most_99_percent():

@@ -1,0 +1,220 @@
+"""A binary tree over one set of Gaussians, deep enough for a level of detail of its own in every direction.
+
+Inner nodes have the moments of their two children, as in hierarchical 3D Gaussians (Kerbl et al. 2024), whose
+cuts the perceptually guided levels of detail move. They follow from the leaves, so a hierarchy is stored as
+pairs alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from splat.model.gaussians import SH_DC, Gaussians, concatenated
+from splat.model.layer import Layer
+from splat.model.points import Floats, Ints, remoteness, rows_of
+from splat.model.trees import label_codes, merge
+
+# Rounds of pairing per octave of size, and passes per round; neighbours among which a partner is sought.
+_PER_OCTAVE, _PASSES, _NEIGHBOURS = 2, 2, 8
+# The first round joins what is up to this quantile of the sizes; the last one, a part of the whole.
+_FIRST, _MOST_ROUNDS = 0.25, 48
+# Partners are at most so many sizes of a round apart.
+_FARTHEST = 2.0
+# A step of the whole perceptual scale in colour counts as so many sizes of a round.
+_COLOUR = 0.6
+# Points are moved apart by up to this share of a round's size, each by another multiple of the golden ratio.
+_APART, _GOLDEN = 1e-3, 0.6180339887498949
+# A parent is larger than its children by at least this factor, so that cuts are well defined.
+_LARGER = 1.1
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """Which nodes are joined: N leaves come first, then M inner nodes, children before their parents.
+
+    Attributes:
+        children: (M, 2) int32, indices among all N + M nodes, the larger child first.
+    """
+
+    children: torch.Tensor
+
+    def __len__(self) -> int:
+        return len(self.children)
+
+    def parents(self, leaves: int) -> Ints:
+        """(N + M,) the parent of each node, over N leaves; -1 for roots.
+
+        Raises:
+            ValueError: the pairs do not make trees over so many leaves.
+        """
+        children = self.children.numpy().astype(np.int64)
+        number = leaves + np.arange(len(children))
+        flat = children.ravel()
+        if len(flat) and (flat.min() < 0 or (children >= number[:, None]).any()):
+            raise ValueError("a hierarchy in which a node lies above nodes that there are not")
+        if len(np.unique(flat)) != len(flat):
+            raise ValueError("a hierarchy in which a node has two parents")
+        parent = np.full(leaves + len(children), -1)
+        parent[flat] = np.repeat(number, 2)
+        return parent
+
+    def nodes(self, leaves: Gaussians) -> HierarchyNodes:
+        """All nodes, of the leaves that the hierarchy was built over."""
+        children, count = self.children.numpy().astype(np.int64), len(leaves)
+        parent = self.parents(count)
+        size = np.concatenate([leaves.longest.numpy().astype(np.float64), np.zeros(len(children))])
+        radius, nodes = np.zeros(len(size)), leaves
+        for start, end in _batches(children, count):
+            pairs = children[start:end]
+            merged = merge(*(nodes.select(torch.from_numpy(side)) for side in pairs.T))
+            size[count + start : count + end] = _size(merged, size[pairs])
+            away = [
+                np.linalg.norm(rows_of(merged.means) - rows_of(nodes.means[:, side]), axis=1)
+                for side in pairs.T
+            ]
+            radius[count + start : count + end] = (np.stack(away, axis=1) + radius[pairs]).max(axis=1)
+            nodes = concatenated([nodes, merged])
+        is_heir = np.ones(len(size), dtype=bool)
+        is_heir[children[:, 1]] = False
+        bounds = (np.float32(size), np.float32(radius))
+        return HierarchyNodes(nodes, parent.astype(np.int32), is_heir, *bounds, count)
+
+
+@dataclass(frozen=True)
+class HierarchyNodes:
+    """The nodes of a hierarchy: N leaves, then M inner nodes."""
+
+    gaussians: Gaussians  # N + M
+    parent: NDArray[np.int32]  # (N + M,) -1 for roots
+    is_heir: NDArray[np.bool_]  # (N + M,) whether it is the larger child, or a root
+    size: NDArray[np.float32]  # (N + M,) standard deviation along the longest axis; parents' are larger
+    radius: NDArray[np.float32]  # (N + M,) within which of its centre all centres below a node lie
+    leaves: int  # N
+
+
+def hierarchy_of(leaves: Layer, progress: Callable[[int, int], None] | None = None) -> Hierarchy:
+    """Pairs Gaussians from the smallest to the largest, near ones of similar colour first.
+
+    Only Gaussians with the same labels are joined. Those that find no partner are roots.
+
+    Args:
+        leaves: N Gaussians.
+        progress: is told how many of N have been joined.
+    """
+    gaussians = leaves.gaussians
+    building = _Building(gaussians, label_codes(leaves))
+    limit = float(np.quantile(building.relative, _FIRST)) if len(gaussians) else 0.0
+    for _ in range(_MOST_ROUNDS):
+        before = building.joined
+        for _ in range(_PASSES):
+            building.join(limit)
+            if progress is not None:
+                progress(building.joined, len(gaussians))
+        if len(building.active) < 2 or (limit > building.extent and building.joined == before):
+            break
+        limit *= 2 ** (1 / _PER_OCTAVE)
+    pairs = building.pairs
+    children = np.concatenate(pairs) if pairs else np.zeros((0, 2), np.int64)
+    return Hierarchy(torch.from_numpy(children.astype(np.int32)))
+
+
+class _Building:
+    """Nodes without a parent so far, by their numbers among all, and what has been joined."""
+
+    def __init__(self, leaves: Gaussians, codes: Ints):
+        self.active = np.arange(len(leaves))
+        self.pairs: list[Ints] = []
+        self._count, self._gaussians, self._codes = len(leaves), leaves, codes
+        self._size = leaves.longest.numpy().astype(np.float64)
+        means = rows_of(leaves.means)
+        near = means[remoteness(leaves.means).numpy() == 1]
+        self.extent = float(np.ptp(near, axis=0).max()) if len(near) else 1.0
+
+    @property
+    def joined(self) -> int:
+        """How many nodes have a parent, of twice the number of leaves."""
+        return sum(map(len, self.pairs))
+
+    @property
+    def relative(self) -> Floats:
+        """Sizes of the active nodes as seen from where viewers are: what is far away may be larger."""
+        return self._size / remoteness(self._gaussians.means).numpy()
+
+    def join(self, limit: float) -> None:
+        """Gives parents to pairs of nodes that are relatively no larger than a limit."""
+        few = np.flatnonzero(self.relative <= limit)
+        if len(few) < 2:
+            return
+        pairs = few[self._partners(few, limit)]
+        if not len(pairs):
+            return
+        smaller = self._size[pairs[:, 0]] < self._size[pairs[:, 1]]
+        pairs[smaller] = pairs[smaller, ::-1]
+        left, right = (self._gaussians.select(torch.from_numpy(side)) for side in pairs.T)
+        merged = merge(left, right)
+        self.pairs.append(self.active[pairs])
+        rest = np.ones(len(self.active), dtype=bool)
+        rest[pairs] = False
+        number = self._count + np.arange(len(pairs))
+        self._count += len(pairs)
+        self.active = np.concatenate([self.active[rest], number])
+        self._size = np.concatenate([self._size[rest], _size(merged, self._size[pairs])])
+        self._codes = np.concatenate([self._codes[rest], self._codes[pairs[:, 0]]])
+        kept = self._gaussians.select(torch.from_numpy(np.flatnonzero(rest)))
+        self._gaussians = concatenated([kept, merged])
+
+    def _partners(self, few: Ints, limit: float) -> Ints:
+        """(P, 2) positions within `few` of pairs, which share no node."""
+        means = self._gaussians.means[:, few]
+        colour = (0.5 + SH_DC * self._gaussians.sh[0][:, few]).clamp(0, 1).numpy().T
+        points, codes = rows_of(means), self._codes[few]
+        # Points in one place would all have the same few neighbours.
+        points[:, 0] += _APART * limit * (np.arange(len(few)) * _GOLDEN % 1)
+        distance, near = cKDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(few)), workers=-1)
+        distance, near = distance[:, 1:], near[:, 1:]
+        distance /= limit * remoteness(means).numpy()[:, None]
+        cost = distance + _COLOUR * np.abs(colour[near] - colour[:, None]).sum(axis=2)
+        cost[(distance > _FARTHEST) | (codes[near] != codes[:, None])] = np.inf
+        return np.concatenate([np.zeros((0, 2), np.int64), *_mutual(near, cost)])
+
+
+def _mutual(near: Ints, cost: Floats) -> Iterator[Ints]:
+    """Pairs (P, 2) of points that are each other's cheapest free neighbour, until there are none.
+
+    Of each point there are neighbours (N, K) and what joining them costs, infinite if they must not be.
+    """
+    own, cost = np.arange(len(near)), cost.copy()
+    while True:
+        choice = cost.argmin(axis=1)
+        best = near[own, choice]
+        possible = np.isfinite(cost[own, choice])
+        found = np.flatnonzero(possible & possible[best] & (best[best] == own) & (own < best))
+        if not len(found):
+            return
+        pairs = np.stack([found, best[found]], axis=1)
+        taken = np.zeros(len(near), dtype=bool)
+        taken[pairs] = True
+        cost[taken] = np.inf
+        cost[taken[near]] = np.inf
+        yield pairs
+
+
+def _size(merged: Gaussians, children: Floats) -> Floats:
+    """(M,) sizes of merged Gaussians, from those of their children (M, 2)."""
+    return np.maximum(merged.longest.numpy(), _LARGER * children.max(axis=1))
+
+
+def _batches(children: Ints, count: int) -> Iterator[tuple[int, int]]:
+    """Ranges of inner nodes whose children all come before the range."""
+    highest, start = children.max(axis=1) if len(children) else children[:, 0], 0
+    while start < len(children):
+        later = np.flatnonzero(highest[start:] >= count + start)
+        end = start + int(later[0]) if len(later) else len(children)
+        yield start, end
+        start = end

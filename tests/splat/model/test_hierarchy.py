@@ -1,0 +1,135 @@
+"""A hierarchy over Gaussians: trees of growing sizes, whose inner nodes have their children's moments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from splat.model.gaussians import Blending, Gaussians
+from splat.model.hierarchy import Hierarchy, hierarchy_of
+from splat.model.layer import Layer, static_layer
+from splat.model.trees import merge
+from tests.extremes import extreme
+from tests.splat.samples import gaussians
+
+
+def surface(n: int = 400, seed: int = 0) -> Layer:
+    """Flat Gaussians of two colours on a plane, left and right of its middle."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-1, 1, (2, n))
+    means = torch.from_numpy(np.stack([*place, np.zeros(n)]).astype(np.float32))
+    log_scales = torch.full((3, n), -3.0) + torch.tensor([[0.0], [0.0], [-3.0]])
+    rotations = torch.tensor([[1.0], [0], [0], [0]]).repeat(1, n)
+    sh = torch.where(means[0] > 0, 1.0, -1.0).repeat(1, 3, 1)
+    return static_layer(Gaussians(means, log_scales, rotations, torch.full((n,), 1.0), sh))
+
+
+def test_every_node_but_few_roots_has_a_parent_that_is_larger():
+    layer = surface()
+    hierarchy = hierarchy_of(layer)
+    nodes = hierarchy.nodes(layer.gaussians)
+    has = nodes.parent >= 0
+    assert len(nodes.parent) == 400 + len(hierarchy)
+    assert (nodes.size[nodes.parent[has]] > nodes.size[has]).all()
+    assert (np.bincount(nodes.parent[has])[400:] == 2).all()
+    assert np.count_nonzero(~has) == 400 - len(hierarchy) <= 4
+
+
+def test_the_first_nodes_are_the_leaves_to_the_bit():
+    layer = surface()
+    nodes = hierarchy_of(layer).nodes(layer.gaussians)
+    assert nodes.leaves == 400
+    for own, leaf in zip(
+        nodes.gaussians.part(0, 400).every_tensor(), layer.gaussians.every_tensor(), strict=True
+    ):
+        assert torch.equal(own, leaf)
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+@pytest.mark.parametrize("blending", list(Blending))
+def test_inner_nodes_are_their_children_merged(degree, blending):
+    leaves = replace(gaussians("overlap", 60, degree), blending=blending)
+    hierarchy = hierarchy_of(static_layer(leaves))
+    nodes = hierarchy.nodes(leaves).gaussians
+    left, right = (nodes.select(side.long()) for side in hierarchy.children.T)
+    merged, inner = merge(left, right), nodes.part(60, len(nodes))
+    assert len(inner) > 40
+    for one, other in zip(inner.every_tensor(), merged.every_tensor(), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_near_ones_of_a_colour_are_joined_first():
+    """The colours of the two halves hardly mix in the lower half of the nodes."""
+    layer = surface()
+    nodes = hierarchy_of(layer).nodes(layer.gaussians)
+    mixed = np.abs(nodes.gaussians.sh[0, 0].numpy()) < 0.9
+    low = nodes.size < np.median(nodes.size[400:])
+    assert np.mean(mixed[400:][low[400:]]) < 0.1
+    assert mixed[np.argmax(nodes.size)]
+
+
+def test_gaussians_of_other_instances_are_never_joined():
+    layer = surface()
+    semantic = torch.arange(400, dtype=torch.int32) % 3
+    hierarchy = hierarchy_of(replace(layer, semantic=semantic))
+    of = np.concatenate([semantic.numpy(), np.full(len(hierarchy), -1)])
+    for number, (left, right) in enumerate(hierarchy.children.tolist(), start=400):
+        assert of[left] == of[right]
+        of[number] = of[left]
+
+
+def test_same_gaussians_same_hierarchy():
+    one, other = (hierarchy_of(surface()).children for _ in range(2))
+    assert torch.equal(one, other)
+
+
+def test_harmonics_that_some_have_are_merged():
+    leaves = gaussians("overlap", 60, 1)
+    some = leaves.turning(torch.arange(60) % 3 == 0)
+    hierarchy = hierarchy_of(static_layer(some))
+    own = hierarchy.nodes(some).gaussians.all_turning()
+    other = hierarchy.nodes(some.all_turning()).gaussians
+    torch.testing.assert_close(own.sh, other.sh)
+
+
+def test_progress_tells_how_many_are_joined():
+    told = []
+    hierarchy = hierarchy_of(surface(), lambda done, total: told.append((done, total)))
+    assert told == sorted(told)
+    assert told[-1] == (len(hierarchy), 400)
+
+
+@extreme("hierarchy of hardly any Gaussians", given="0, 1 and 2 Gaussians", expected="0, 0 and 1 inner nodes")
+def test_a_hierarchy_of_hardly_any_gaussians(got):
+    layers = [static_layer(surface(2).gaussians.part(0, n)) for n in (0, 1, 2)]
+    counts = [len(hierarchy_of(layer)) for layer in layers]
+    assert got(counts) == [0, 0, 1]
+    assert hierarchy_of(layers[0]).nodes(layers[0].gaussians).leaves == 0
+
+
+@extreme("hierarchy of equal Gaussians", given="500 in one place", expected="one root")
+def test_a_hierarchy_of_equal_gaussians(got):
+    layer = surface(500)
+    layer.gaussians.means[:] = 0.5
+    layer.gaussians.sh[:] = 0
+    hierarchy = hierarchy_of(layer)
+    nodes = hierarchy.nodes(layer.gaussians)
+    assert nodes.gaussians.is_finite()
+    assert got(500 - len(hierarchy)) == 1
+
+
+@pytest.mark.parametrize(
+    ("children", "said"),
+    [
+        ([[0, 9]], "above nodes that there are not"),
+        ([[0, -1]], "above nodes that there are not"),
+        ([[0, 1], [1, 2]], "two parents"),
+        ([[0, 0]], "two parents"),
+    ],
+)
+def test_pairs_that_make_no_trees_are_refused(children, said):
+    with pytest.raises(ValueError, match=said):
+        Hierarchy(torch.tensor(children, dtype=torch.int32)).parents(4)
