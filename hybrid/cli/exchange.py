@@ -27,7 +27,8 @@ def export_file(
         Path,
         typer.Argument(
             metavar="FILE|FOLDER",
-            help=".ply to write, or .glb, .splat, .ksplat, .spz or .sog; of frames, a new folder.",
+            help=".ply to write, or .glb, .splat, .ksplat, .spz or .sog; FOLDER/lod-meta.json for all levels "
+            "of detail (Streamed SOG); of frames, a new folder.",
         ),
     ],
     layer: Annotated[
@@ -53,9 +54,15 @@ def export_file(
         return
     from splat.io.forest_file import load_forest
     from splat.io.other_formats import format_of, save_gaussians
+    from splat.io.streamed_sog import INDEX
     from splat.model.gaussians import Blending
     from splat.model.points import in_world
 
+    if output.name == INDEX:
+        if layer is not None:
+            raise UserError(f"--layer: {INDEX} holds all levels of detail")
+        _export_streamed(load_forest(source), output, seed, backend)
+        return
     format_of(output)
     loaded = load_forest(source)
     layers = loaded.layers
@@ -69,6 +76,29 @@ def export_file(
         said = f"{psnr:.1f} dB from the forest's own pictures"
     save_gaussians(output, in_world(gaussians, loaded.place))
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}, {said}")
+
+
+# Levels of detail of a forest of one layer, each of so many times fewer Gaussians than the one before.
+_LEVELS, _RATIO = 4, 4
+
+
+def _export_streamed(forest: Forest, output: Path, seed: int, backend: str) -> None:
+    """Writes a forest as Streamed SOG: its layers, or levels of detail that its hierarchy makes of one."""
+    from splat.io.streamed_sog import save_streamed
+    from splat.model.gaussians import Blending
+    from splat.model.points import in_world
+
+    o.check_writable(output)
+    levels = [layer.gaussians for layer in reversed(forest.layers)]
+    if levels[0].blending is Blending.LINEAR:
+        o.select(backend)
+        levels = [_fitted(forest, number, seed)[0] for number in range(len(levels), 0, -1)]
+    if len(levels) == 1:
+        levels = forest.own_hierarchy.nodes(levels[0]).levels(_LEVELS, _RATIO)
+    with progress_bar("chunks (Gaussians)") as bar:
+        chunks = save_streamed(output.parent, [in_world(level, forest.place) for level in levels], bar)
+    counts = ", ".join(f"{len(level):,}" for level in levels)
+    print(f"{output}: levels of {counts} Gaussians in {chunks} chunks")
 
 
 def _fitted(forest: Forest, layer: int, seed: int) -> tuple[Gaussians, float]:

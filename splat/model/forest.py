@@ -84,9 +84,13 @@ class Forest:
 
     @cached_property
     def hierarchy_nodes(self) -> HierarchyNodes:
-        """The nodes of the hierarchy, which is built now if there is none; the first are those of layer L."""
-        finest = self.layers[-1]
-        return (self.hierarchy or hierarchy_of(finest)).nodes(finest.gaussians)
+        """The nodes of the hierarchy; the first are those of layer L."""
+        return self.own_hierarchy.nodes(self.finest)
+
+    @cached_property
+    def own_hierarchy(self) -> Hierarchy:
+        """The hierarchy, which is built now if none is stored."""
+        return self.hierarchy or hierarchy_of(self.layers[-1])
 
     def coarsest_alone(self, sh: torch.Tensor | None = None) -> Forest:
         """The coarsest layer as a forest, in usual light; with constant harmonics (1, 3, N), if given."""

@@ -97,6 +97,26 @@ class HierarchyNodes:
     radius: NDArray[np.float32]  # (N + M,) within which of its centre all centres below a node lie
     leaves: int  # N
 
+    def levels(self, count: int, ratio: int) -> list[Gaussians]:
+        """Up to `count` levels of detail, the leaves first, each with a `ratio`-th of the nodes before.
+
+        Nodes of a level are about equally large, as seen from where viewers are.
+        """
+        size = self.size / remoteness(self.gaussians.means).numpy()
+        above = np.where(self.parent < 0, np.inf, size[np.maximum(self.parent, 0)])
+        own = np.where(np.arange(len(size)) < self.leaves, 0, size)
+        found: list[Ints] = [np.arange(self.leaves)]
+        # At a limit, nodes are drawn that are no larger while their parents are.
+        starts, ends = np.sort(own), np.sort(above)
+        drawn = np.searchsorted(starts, starts, "right") - np.searchsorted(ends, starts, "right")
+        while len(found) < count:
+            enough = np.flatnonzero(drawn <= len(found[-1]) // ratio)
+            if not len(enough):
+                break
+            limit = starts[enough[0]]
+            found.append(np.flatnonzero((own <= limit) & (above > limit)))
+        return [self.gaussians.select(torch.from_numpy(level)) for level in found]
+
 
 def hierarchy_of(leaves: Layer, progress: Callable[[int, int], None] | None = None) -> Hierarchy:
     """Pairs Gaussians from the smallest to the largest, near ones of similar colour first.
