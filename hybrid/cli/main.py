@@ -15,6 +15,7 @@ from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_file, import_file
+from hybrid.cli.levels import levels
 from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
 from hybrid.cli.progress import messages_as_lines
@@ -30,7 +31,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Path-traced fovea, Gaussian-splat periphery: one scene, two renderers, one frame.",
 )
-for command in (doctor, scenes, quickstart, plan, prepare, capture, train, render, demo, evaluate, sweep):
+for command in (
+    doctor,
+    scenes,
+    quickstart,
+    plan,
+    prepare,
+    capture,
+    train,
+    levels,
+    render,
+    demo,
+    evaluate,
+    sweep,
+):
     app.command()(command)
 app.command("export")(export_file)
 app.command("import")(import_file)

@@ -7,6 +7,7 @@ compact encoding has (`splat.io.compact`), otherwise as float32.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics, NodeMotion
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
-_HIERARCHY = "hierarchy.children"
+_HIERARCHY, _CHILDREN = "hierarchy.", "children"
 # In the metadata of compact files: type and shape of each packed tensor.
 _PACKED = "packed"
 _BLENDING = "blending"
@@ -71,20 +72,34 @@ def save_forest(path: str | Path, forest: Forest) -> None:
             groups[prefix] = part.tensors()
     tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
     if forest.hierarchy is not None:
-        tensors[_HIERARCHY] = forest.hierarchy.children
+        tensors |= _of_hierarchy(forest.hierarchy)
     codes = exactly_encoded(forest)
     if codes is not None:
         tensors, kinds = packed({**codes, **tensors})
         metadata |= {"format_version": COMPACT_VERSION, _PACKED: kinds}
     else:
-        own, further = dict([*nodes.gaussians.tensors(), *nodes.labels()]), nodes.gaussians.directional
-        if further is not None:
-            own |= {_DIRECTIONAL + "index": further.index, _DIRECTIONAL + "sh": further.sh}
+        own = _of_gaussians(nodes.gaussians) | dict(nodes.labels())
+        if nodes.gaussians.directional is not None:
             metadata["format_version"] = COMPACT_VERSION
         tensors |= {name: tensor.detach().cpu() for name, tensor in own.items()}
     if nodes.gaussians.blending is not Blending.LINEAR:
         metadata |= {"format_version": BLENDED_VERSION, _BLENDING: nodes.gaussians.blending.value}
     save_tensors(Path(path), tensors, metadata)
+
+
+def _of_gaussians(gaussians: Gaussians) -> dict[str, torch.Tensor]:
+    """Tensors of Gaussians by name, as float32."""
+    own, further = dict(gaussians.tensors()), gaussians.directional
+    if further is not None:
+        own |= {_DIRECTIONAL + "index": further.index, _DIRECTIONAL + "sh": further.sh}
+    return own
+
+
+def _of_hierarchy(hierarchy: Hierarchy) -> dict[str, torch.Tensor]:
+    """Tensors of a hierarchy by name."""
+    inner = {} if hierarchy.inner is None else _of_gaussians(hierarchy.inner)
+    named = {_CHILDREN: hierarchy.children} | inner
+    return {_HIERARCHY + name: tensor.detach().cpu() for name, tensor in named.items()}
 
 
 def load_forest(path: str | Path) -> Forest:
@@ -105,7 +120,7 @@ def load_forest(path: str | Path) -> Forest:
         scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])
         attached, place = under(_ATTACHED, tensors), _place(metadata)
         motion, light = _motion(tensors), _light(tensors)
-        hierarchy = _hierarchy(tensors, counts[-1]) if counts else None
+        hierarchy = _hierarchy(tensors, counts[-1], nodes.gaussians.blending) if counts else None
         forest = Forest(nodes, counts, focal, *scene, attached, place, motion, light, hierarchy)
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
@@ -154,14 +169,18 @@ def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     return light
 
 
-def _hierarchy(tensors: dict[str, torch.Tensor], leaves: int) -> Hierarchy | None:
-    """The hierarchy over so many Gaussians; None in a file that has none."""
-    children = tensors.get(_HIERARCHY)
-    if children is None:
+def _hierarchy(tensors: dict[str, torch.Tensor], leaves: int, blending: Blending) -> Hierarchy | None:
+    """The hierarchy over so many Gaussians, which are blended so; None in a file that has none."""
+    found = under(_HIERARCHY, tensors)
+    if not found:
         return None
+    children = found.pop(_CHILDREN)
     if children.dtype != torch.int32 or children.ndim != 2 or children.shape[1] != 2:
         raise ValueError("a hierarchy that is not pairs of int32 numbers")
-    hierarchy = Hierarchy(children)
+    inner = replace(_gaussians(found), blending=blending) if found else None
+    if inner is not None and not inner.is_finite():
+        raise ValueError("a hierarchy of numbers that are not finite")
+    hierarchy = Hierarchy(children, inner)
     hierarchy.parents(leaves)
     return hierarchy
 
@@ -201,18 +220,27 @@ def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
 
 def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
     """The nodes of a file of float32 numbers."""
-    # Kernels would misread another type.
-    for name in (*TENSORS, *LABELS):
-        expected = _TYPES.get(name, torch.float32)
-        if tensors[name].dtype != expected or not tensors[name].ndim:
-            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
+    _require_types(tensors, LABELS)
+    return Layer(_gaussians(tensors), *(tensors[name] for name in LABELS))
+
+
+def _gaussians(tensors: dict[str, torch.Tensor]) -> Gaussians:
+    """Gaussians of float32 numbers."""
+    _require_types(tensors, TENSORS)
     found, further = under(_DIRECTIONAL, tensors), None
     if found:
         further = Directional(found["index"], found["sh"])
         if further.sh.dtype != torch.float32:
             raise ValueError(f"directional harmonics are {further.sh.dtype}, expected float32")
-    gaussians = Gaussians(*(tensors[name] for name in TENSORS), directional=further)
-    return Layer(gaussians, *(tensors[name] for name in LABELS))
+    return Gaussians(*(tensors[name] for name in TENSORS), directional=further)
+
+
+def _require_types(tensors: dict[str, torch.Tensor], names: Iterable[str]) -> None:
+    # Kernels would misread another type.
+    for name in names:
+        expected = _TYPES.get(name, torch.float32)
+        if tensors[name].dtype != expected or not tensors[name].ndim:
+            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
 
 
 def _counts(layers: Any) -> tuple[int, ...]:

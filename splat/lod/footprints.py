@@ -18,12 +18,12 @@ import torch
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
 from compose.camera.camera import Camera
-from splat.lod.cut import HierarchyCut, Turned, turned_footprints
 from splat.lod.layer_images import CONTINUOUS, Lattice
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
 from splat.model.gaussians import Directional, Gaussians, as_rows
 from splat.raster.binning import depth_order
+from splat.raster.cut import HierarchyCut, Turned, turned_footprints
 from splat.raster.projection import (
     PIXEL_FILTER,
     CameraNumbers,
@@ -152,7 +152,7 @@ class ForestFootprints:
 
         Each layer's lie together, from near to far. `blur` is the widest filter that will be used, as a
         multiple of the filter at the pixel grid; `levels` are those of the layer CONTINUOUS, if it is asked
-        for (`splat.lod.cut`).
+        for (`splat.raster.cut`).
         """
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()

@@ -19,7 +19,7 @@ Lattice = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 # Highest frequency that samples carry, in cycles per sample.
 NYQUIST = 0.5
-# In place of a layer: the nodes of the forest's hierarchy that levels ask for (`splat.lod.cut`).
+# In place of a layer: the nodes of the forest's hierarchy that levels ask for (`splat.raster.cut`).
 CONTINUOUS = 0
 
 

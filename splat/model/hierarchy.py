@@ -1,8 +1,7 @@
 """A binary tree over one set of Gaussians, deep enough for a level of detail of its own in every direction.
 
 Inner nodes have the moments of their two children, as in hierarchical 3D Gaussians (Kerbl et al. 2024), whose
-cuts the perceptually guided levels of detail move. They follow from the leaves, so a hierarchy is stored as
-pairs alone.
+cuts the perceptually guided levels of detail move; or they were fitted (`splat.training.hierarchy_fit`).
 """
 
 from __future__ import annotations
@@ -40,9 +39,18 @@ class Hierarchy:
 
     Attributes:
         children: (M, 2) int32, indices among all N + M nodes, the larger child first.
+        inner: M inner nodes that were fitted; None if they have the moments of their children.
+
+    Raises:
+        ValueError: there are inner nodes, but not M.
     """
 
     children: torch.Tensor
+    inner: Gaussians | None = None
+
+    def __post_init__(self) -> None:
+        if self.inner is not None and len(self.inner) != len(self.children):
+            raise ValueError(f"a hierarchy of {len(self.children)} pairs and {len(self.inner)} inner nodes")
 
     def __len__(self) -> int:
         return len(self.children)
@@ -72,7 +80,10 @@ class Hierarchy:
         radius, nodes = np.zeros(len(size)), leaves
         for start, end in _batches(children, count):
             pairs = children[start:end]
-            merged = merge(*(nodes.select(torch.from_numpy(side)) for side in pairs.T))
+            if self.inner is None:
+                merged = merge(*(nodes.select(torch.from_numpy(side)) for side in pairs.T))
+            else:
+                merged = self.inner.part(start, end)
             size[count + start : count + end] = _size(merged, size[pairs])
             away = [
                 np.linalg.norm(rows_of(merged.means) - rows_of(nodes.means[:, side]), axis=1)

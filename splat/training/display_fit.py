@@ -65,7 +65,7 @@ def fitted_for_display(
     optimizer = GaussianOptimizer(gaussians, _STILLNESS * TYPICAL_DISTANCE / focal, arrays.device)
     steps, errors = max(_STEPS, _PER_VIEW * len(cameras)), []
     for step in range(steps):
-        camera = _between(cameras, focal, np.random.default_rng([seed, step]))
+        camera = between(cameras, focal, np.random.default_rng([seed, step]))
         shown = visible(arrays, replace(optimizer.on_device, blending=Blending.DISPLAY), camera)
         if len(shown):
             # As levels of detail are drawn: never finer than the pixels that they were trained on.
@@ -84,7 +84,7 @@ def fitted_for_display(
     return replace(optimizer.gaussians, blending=Blending.DISPLAY), psnr
 
 
-def _between(cameras: Sequence[Camera], focal: float, rng: np.random.Generator) -> Camera:
+def between(cameras: Sequence[Camera], focal: float, rng: np.random.Generator) -> Camera:
     """A part of a view between one of the cameras and another one, turned a little."""
     first, second = (cameras[index] for index in rng.integers(0, len(cameras), 2))
     pose, share = first.camera_to_world, rng.uniform(0, 0.5)

@@ -173,3 +173,29 @@ def test_frames_are_exported_as_a_data_set_of_colmap(made, monkeypatch, tmp_path
     assert [image.held_out for image in found.images] == [entry.held_out for entry in frames.entries]
     assert run(monkeypatch, "export", made / "frames", tmp_path / "b", "--layer", 1) == 2
     assert "--layer: only of a forest" in capsys.readouterr().err
+
+
+def test_all_levels_of_a_forest_are_exported_as_streamed_sog(made, monkeypatch, tmp_path, capsys):
+    """Layers of a trained forest, the finest first; of an imported one, what its hierarchy makes of it."""
+    pytest.importorskip("gaussforge")
+    forest = load_forest(made / "box.forest")
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "all" / "lod-meta.json") == 0
+    index = json.loads((tmp_path / "all" / "lod-meta.json").read_text())
+    assert index["counts"] == [*reversed(forest.counts)]
+    export_file(made / "box.forest", tmp_path / "a.ply")
+    import_file(tmp_path / "a.ply", tmp_path / "b.forest")
+    assert run(monkeypatch, "export", tmp_path / "b.forest", tmp_path / "b" / "lod-meta.json") == 0
+    counts = json.loads((tmp_path / "b" / "lod-meta.json").read_text())["counts"]
+    assert counts[0] == forest.counts[-1]
+    assert 1 < len(counts) <= 4
+    assert "lod-meta.json: levels of " in capsys.readouterr().out
+
+
+def test_levels_of_detail_are_fitted_and_stored(made, monkeypatch, tmp_path, capsys):
+    own, facts = tmp_path / "own.forest", tmp_path / "facts.json"
+    assert run(monkeypatch, "levels", made / "box.forest", "-o", own, "--steps", 3, "--json", facts) == 0
+    found, before = load_forest(own), load_forest(made / "box.forest")
+    assert found.digest() == before.digest()
+    assert len(found.hierarchy.inner) == json.loads(facts.read_text())["inner"] > 0
+    assert "dB from pictures of the finest layer" in capsys.readouterr().out
+    assert before.hierarchy is None

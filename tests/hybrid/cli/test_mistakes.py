@@ -140,6 +140,11 @@ MISTAKES = {
         ["render", "cornell", "--paths", "where-needed", "--target-ms", "50", "-o", "{tmp}/a.png"],
         "nothing is measured with --paths where-needed",
     ),
+    "a layer of all levels": (
+        ["export", "{made}/box.forest", "{tmp}/a/lod-meta.json", "--layer", "1"],
+        "--layer: lod-meta.json holds all levels of detail",
+    ),
+    "levels of no forest": (["levels", "{tmp}/corrupt"], "corrupt"),
     "layers and none": (
         ["render", "cornell", "--layers", "1", "2", "--level", "2", "-o", "{tmp}/a.png"],
         "--layers: --level and --gaussians draw no layers",

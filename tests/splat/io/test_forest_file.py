@@ -64,6 +64,16 @@ def test_the_hierarchy_comes_back(rounded, tmp_path):
     assert equal(back.hierarchy_nodes.gaussians, made.hierarchy_nodes.gaussians)
 
 
+@pytest.mark.parametrize("degree", [0, 2])
+def test_fitted_inner_nodes_come_back(degree, tmp_path):
+    hierarchy = hierarchy_of(forest().layers[-1])
+    inner = gaussians("overlap", len(hierarchy), degree)
+    inner = inner.turning(torch.arange(len(inner)) % 2 == 0) if degree else inner
+    made = replace(forest(), hierarchy=replace(hierarchy, inner=inner))
+    save_forest(tmp_path / "f", made)
+    assert equal(load_forest(tmp_path / "f").hierarchy.inner, inner)
+
+
 @pytest.mark.parametrize(
     "children", [[[0, 900]], [[0, 1], [1, 2]], [[0, -1]], [[0, 1, 2]], [0, 1], [[0.0, 1.0]]]
 )

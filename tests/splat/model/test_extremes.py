@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import SH_DC, Gaussians
 from splat.model.trees import merge
 from tests.extremes import extreme
 
@@ -40,7 +40,10 @@ def test_parents_of_extreme_children_are_finite(size, logit, got):
     """Two equal Gaussians: the parent is as large, and has twice the opacity, at most 0.99."""
     parent = merge(one(size, logit, 1.0), one(size, logit, 3.0))
     assert parent.is_finite()
-    assert parent.sh[0, 0, 0].item() == pytest.approx(2)
+    # Half of the radiance of each, by the sRGB curve.
+    radiance = lambda coefficient: ((0.5 + SH_DC * coefficient + 0.055) / 1.055) ** 2.4  # noqa: E731
+    mixed = 0.5 * (radiance(1) + radiance(3))
+    assert radiance(parent.sh[0, 0, 0].item()) == pytest.approx(mixed, rel=1e-5)
     np.testing.assert_allclose(parent.log_scales.numpy(), size, rtol=1e-5)
     expected = logit + np.log(2) if logit < -100 else np.log(0.99 / 0.01)
     assert got(parent.opacity_logits.item(), ".2f") == pytest.approx(expected, rel=1e-4)

@@ -6,12 +6,12 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.lod.cut import HierarchyCut, Turned, turned_footprints
 from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import CONTINUOUS, LayerImage
 from splat.model.forest import Forest, forest_of
 from splat.model.hierarchy import HierarchyNodes
 from splat.model.layer import static_layer
+from splat.raster.cut import HierarchyCut, Turned, turned_footprints
 from splat.raster.projection import Footprints
 from tests.extremes import extreme
 from tests.splat.lod.views import CORNERS, drawn, everything, frame_camera, no_cutoff, ramp

@@ -14,11 +14,11 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.base.frozen import Frozen
 from compose.camera.camera import Camera
-from splat.lod.layer_images import Lattice
 from splat.model.hierarchy import HierarchyNodes
 from splat.raster.projection import (
     NEAR,
@@ -33,6 +33,7 @@ from splat.raster.projection import (
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import TILE
 
+Lattice = NDArray[np.float32]
 # A node and its parent: centres, standard deviations along the longest axes, and how far from their centres
 # those of what is below them lie. Six floats are spare.
 _BOUNDS = RecordLayout((8, 8), (), mean=3, size=1, radius=1, parent_mean=3, parent_size=1, parent_radius=1)

@@ -1,0 +1,81 @@
+"""Inner nodes of a hierarchy, fitted so that its cuts look as its leaves do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from splat.model.gaussians import Gaussians
+from splat.model.hierarchy import Hierarchy, hierarchy_of
+from splat.model.layer import static_layer
+from splat.raster.cut import HierarchyCut
+from splat.raster.differentiable import render_differentiable
+from splat.training.hierarchy_fit import fitted_hierarchy
+from tests.splat.samples import camera, equal, gaussians
+
+VIEWS = [camera().moved_right(x) for x in (-0.6, -0.2, 0.3, 0.7)]
+FOCAL = VIEWS[0].fy
+
+
+def leaves(degree: int = 1) -> Gaussians:
+    g = gaussians("overlap", 200, degree)
+    g.log_scales -= 0.8
+    return g
+
+
+def error(arrays, own: Gaussians, hierarchy: Hierarchy) -> float:
+    """Mean squared error of coarse cuts in views that are none of VIEWS."""
+    nodes, errors = hierarchy.nodes(own), []
+    cut = HierarchyCut(arrays, nodes)
+    for x in (-0.4, 0.5):
+        view = camera().moved_right(x)
+        levels = np.full((-(-view.height // 16) + 1, -(-view.width // 16) + 1), 0.05, np.float32)
+        factor = cut.least_factor(view, levels, 40)
+        index = cut.nodes(view, levels * np.float32(factor), 1.0)[0].torch().long()
+        shown = nodes.gaussians.select(index)
+        images = [render_differentiable(arrays, g, view) for g in (shown, own)]
+        errors.append(float((images[0] - images[1]).square().mean()))
+    return float(np.mean(errors))
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_cuts_of_fitted_nodes_are_nearer_to_the_leaves(arrays, degree):
+    own, told = leaves(degree), []
+    hierarchy = hierarchy_of(static_layer(own))
+    found, first, last = fitted_hierarchy(
+        arrays, hierarchy, own, FOCAL, VIEWS, 0, 150, lambda *done: told.append(done)
+    )
+    assert error(arrays, own, found) < 0.9 * error(arrays, own, hierarchy)
+    assert last > first
+    assert (told[0], told[-1]) == ((1, 150), (150, 150))
+    # Pairs and leaves are as they were.
+    assert found.children is hierarchy.children
+    assert equal(found.nodes(own).gaussians.part(0, len(own)).all_turning(), own)
+
+
+def test_a_fit_of_levels_repeats_by_its_seed(arrays):
+    own = leaves(0)
+    hierarchy = hierarchy_of(static_layer(own))
+    one, other, third = (
+        fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, seed, 4)[0].inner for seed in (0, 0, 1)
+    )
+    assert equal(one, other)
+    assert not equal(one, third)
+
+
+def test_sizes_of_fitted_nodes_grow_towards_the_roots(arrays):
+    own = leaves(0)
+    hierarchy = hierarchy_of(static_layer(own))
+    inner = hierarchy.nodes(own).gaussians.part(len(own), len(own) + len(hierarchy))
+    inner.log_scales[:, ::3] -= 2
+    nodes = replace(hierarchy, inner=inner).nodes(own)
+    has = nodes.parent >= 0
+    assert (nodes.size[nodes.parent[has]] > nodes.size[has]).all()
+
+
+def test_as_many_nodes_as_pairs(arrays):
+    hierarchy = hierarchy_of(static_layer(leaves()))
+    with pytest.raises(ValueError, match="pairs and 200 inner nodes"):
+        replace(hierarchy, inner=leaves())
