@@ -50,6 +50,7 @@ MEASUREMENTS = {
     **{f"paths-{name}": _PATHS.format(*placed) for name, placed in _PLACED.items()},
     "evaluation": f"hybrid evaluate room --report report --views 3 --repeats 40 {_FRAMES}",
     "periphery": f"hybrid bench periphery room {_FRAMES}",
+    "levels": f"python -m benchmarks.levels room {_FRAMES}",
     "window": f"hybrid demo room --bench 20 {_FRAMES}",
     "integrator-room": "hybrid bench integrator room --reference-spp 512",
     "integrator-staircase2": "hybrid bench integrator STAIRCASE --reference-spp 512",

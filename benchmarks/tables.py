@@ -240,6 +240,26 @@ def periphery() -> str:
     return _with_provenance(markdown(header, rows), "periphery")
 
 
+def levels() -> str:
+    """Continuous levels of detail against layers, at as many Gaussians."""
+    found = result("levels")
+    rows = [
+        [
+            row["method"],
+            f"{row['nodes']:,}",
+            f"{row['ms']:.0f}",
+            f"{row['psnr']:.1f}",
+            "" if row["jod"] is None else f"{row['jod']:.2f}",
+        ]
+        for row in found["rows"]
+    ]
+    before, after = (f"{found[name]:.1f}" for name in ("before_db", "after_db"))
+    fit = f"`hybrid levels` took {found['fit_seconds']:.0f} s for {found['steps']:,} steps; in views and cuts "
+    fit += f"that it was not fitted to yet, these brought {before} to {after} dB."
+    table = markdown(["drawn", "Gaussians", "ms", "PSNR, dB", "JOD"], rows)
+    return _with_provenance(f"{table}\n\n{fit}", "levels")
+
+
 def frames(name: str = "frame") -> str:
     """Whole frames: wall clock, kernels, launches, bytes on the host."""
     found = result(name)
@@ -459,7 +479,7 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
 )
 _MADE = (
     *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators),
-    *(periphery, acuity, frames, raster, window, stored, colmap),
+    *(periphery, levels, acuity, frames, raster, window, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

@@ -12,7 +12,7 @@ from compose.base.arrays import Arrays
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS, COARSEST_RATE
-from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, corner_positions, detail_map, saliency
+from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, detail_map, saliency
 from compose.fovea.cells import CellRegion
 from compose.fovea.foveation import FoveaRegion
 from hybrid.render.frame_settings import FrameSettings
@@ -45,7 +45,7 @@ class ViewSaliency:
     """Computes the saliency of views from a forest's coarsest layer."""
 
     def __init__(self, renderer: ForestRenderer, forest: Forest):
-        self._renderer, self._has_hierarchy = renderer, forest.hierarchy is not None
+        self._renderer = renderer
         means = forest.layers[0].gaussians.means.detach().numpy()  # (3, N)
         self._points = forest.place.in_world(means[:, :: -(-means.shape[1] // _LANDMARKS)].T)
         self._kept: _Kept | None = None
@@ -67,12 +67,7 @@ class ViewSaliency:
 
     def _computed(self, camera: Camera) -> _Kept:
         rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
-        # Of a forest with a hierarchy, layer 1 may be the only one.
-        layer, levels = 1, None
-        if self._has_hierarchy:
-            layer = CONTINUOUS
-            levels = np.full_like(corner_positions(camera.width, camera.height)[0], 2**rate, np.float32)
-        coarse = self._renderer.render_layer(camera, layer, rate, levels).numpy()
+        coarse = self._renderer.render_layer(camera, 1, rate).numpy()
         found = at_corners(saliency(coarse), camera.width, camera.height)
         pixels, depth = camera.project(self._points)
         inside = (pixels >= 0) & (pixels < (camera.width, camera.height))
@@ -169,9 +164,8 @@ class Periphery:
         under = None if settings is None else self._under(settings, region)
         if levels is not None and under is not None:
             # Under the disc lies everything that there is.
-            levels = np.where(touched_corners(under.cells), np.float32(_FINEST_LEVEL), levels).astype(
-                np.float32
-            )
+            levels = levels.copy()
+            levels[touched_corners(under.cells)] = _FINEST_LEVEL
         tiles = region.peripheral_tiles(TILE)
         return self._renderer.render(camera, images, detail.low_pass, tiles, under, levels)
 

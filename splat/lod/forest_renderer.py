@@ -115,12 +115,8 @@ class ForestRenderer:
         """What continuous levels must be multiplied by, 1 or more, for at most so many nodes to be drawn."""
         return self._footprints.least_factor(camera, levels, most)
 
-    def render_layer(
-        self, camera: Camera, layer: int, rate: int = 0, levels: Lattice | None = None
-    ) -> SplatImage:
+    def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
-
-        `levels` are as in `render`.
 
         Raises:
             ValueError: the forest has no such layer.
@@ -128,7 +124,7 @@ class ForestRenderer:
         grid = TileGrid(camera.width, camera.height)
         image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
         part = AtlasPart.of(pack_atlas([image], grid.mask(None)))
-        (samples,) = self._drawn(camera, [part], NYQUIST * image.weight, rate, levels=levels)
+        (samples,) = self._drawn(camera, [part], NYQUIST * image.weight, rate)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
     def _drawn(

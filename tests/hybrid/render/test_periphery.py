@@ -9,16 +9,14 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
-from compose.eye.detail import CELL, at_corners, saliency
+from compose.eye.detail import CELL
 from compose.fovea.foveation import FoveaRegion
 from hybrid.measure.image_metrics import psnr
 from hybrid.render import periphery as module
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery, ViewSaliency
 from splat.lod.forest_renderer import ForestRenderer
-from splat.lod.layer_images import CONTINUOUS
 from splat.model.dynamic_light import LightCourse
-from splat.model.hierarchy import hierarchy_of
 
 WIDTH, HEIGHT = 96, 80
 NONE = FrameSettings(acuity_model="none", fov_a=30, fov_b=20)
@@ -252,12 +250,3 @@ def test_what_moves_has_no_continuous_levels(arrays, forest, camera):
     lit = Periphery(arrays, replace(forest, light=light))
     with pytest.raises(UserError, match="level, gaussians: something moves in the forest of"):
         lit.detail(camera, FINEST)
-
-
-def test_the_attention_of_a_forest_with_a_hierarchy_is_found_in_few_gaussians(arrays, forest, camera):
-    own = replace(forest, hierarchy=hierarchy_of(forest.layers[-1]))
-    renderer = ForestRenderer(arrays, own)
-    levels = np.full((HEIGHT // CELL + 1, WIDTH // CELL + 1), 2.0, np.float32)
-    coarse = renderer.render_layer(camera, CONTINUOUS, 1, levels)
-    found = ViewSaliency(renderer, own).of(camera)
-    np.testing.assert_allclose(found, at_corners(saliency(coarse.numpy()), WIDTH, HEIGHT), atol=1e-6)

@@ -1,0 +1,109 @@
+"""Continuous levels of detail against the layers of a forest, at as many Gaussians: what a viewer notices.
+
+python -m benchmarks.levels SCENE --forest FOREST [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+import hybrid
+from compose.base.files import json_text
+from compose.image.colour import decibels, srgb_from_radiance
+from hybrid.base.compute_device import device_arrays
+from hybrid.bench.periphery_bench import display_camera
+from hybrid.measure.perceptual_metrics import jod
+from hybrid.render.forest_attachments import views_of
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.periphery import Periphery
+from splat.lod.layer_images import SplatImage
+from splat.training.hierarchy_fit import fitted_hierarchy
+
+_STEPS, _REPEATS = 2000, 9
+# Units of the scene that the camera moves per frame: enough to make it another one.
+_STEP = 1e-4
+# Nothing is path-traced.
+_SPLATS = FrameSettings(fov_a=0.0, fov_b=0.0, fill=False)
+
+
+def measured(scene_name: str, file: Path) -> dict[str, Any]:
+    """Rows of methods on the display `desktop`, with the gaze in the middle, and what the fit brought."""
+    forest, scene = hybrid.load_forest(file), hybrid.load_scene(scene_name)
+    hierarchy, views = forest.own_hierarchy, [forest.place.camera(view) for view in views_of(forest)]
+    start = time.perf_counter()
+    fitted, before, after = fitted_hierarchy(
+        device_arrays(), hierarchy, forest.finest, forest.trained_focal, views, 0, _STEPS
+    )
+    seconds = time.perf_counter() - start
+    camera = display_camera(scene.camera, _SPLATS.display)
+    layers = Periphery(device_arrays(), forest)
+    continuous = {
+        name: Periphery(device_arrays(), replace(forest, hierarchy=own))
+        for name, own in (("merged", hierarchy), ("fitted", fitted))
+    }
+    truth = layers.whole(camera, _SPLATS).numpy()
+
+    def row(method: str, periphery: Periphery, settings: FrameSettings) -> dict[str, Any]:
+        region = settings.foveation.region(camera.width, camera.height)
+
+        def draw(number: int) -> SplatImage:
+            view = camera.moved_right(number * _STEP)
+            return periphery.draw(view, periphery.detail(view, settings, moving=True), region)
+
+        times = [_milliseconds(draw, number) for number in range(-2, _REPEATS)][2:]
+        drawn = draw(0)
+        error = float(np.square(srgb_from_radiance(drawn.numpy()) - srgb_from_radiance(truth)).mean())
+        return {
+            "method": method,
+            "nodes": drawn.nodes,
+            "ms": float(np.median(times)),
+            "psnr": decibels(error),
+            "jod": jod(drawn.numpy(), truth, settings.display, settings.gaze),
+        }
+
+    rows = []
+    for number in range(1, len(forest.counts)):
+        rows.append(row(f"layer {number}", layers, replace(_SPLATS, layers=(number, number))))
+        few = replace(_SPLATS, gaussians=rows[-1]["nodes"])
+        rows += [row(f"{name}, as many", periphery, few) for name, periphery in continuous.items()]
+    rows.append(row("layers, as the eye resolves", layers, _SPLATS))
+    for level in (1.0, 2.0, 3.0):
+        rows.append(row(f"fitted, level {level:g}", continuous["fitted"], replace(_SPLATS, level=level)))
+    return {"rows": rows, "fit_seconds": seconds, "steps": _STEPS, "before_db": before, "after_db": after}
+
+
+def _milliseconds(draw: Callable[[int], SplatImage], number: int) -> float:
+    start = time.perf_counter()
+    draw(number)
+    dr.sync_thread()
+    return (time.perf_counter() - start) * 1000
+
+
+def main() -> None:
+    """Measures, prints what was found, and writes it."""
+    from pathtrace.scene.backend import select_backend
+
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scene")
+    parser.add_argument("--forest", type=Path, required=True)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    select_backend()
+    text = json_text(measured(options.scene, options.forest))
+    print(text)
+    if options.json:
+        options.json.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
