@@ -254,8 +254,8 @@ def levels() -> str:
         for row in found["rows"]
     ]
     before, after = (f"{found[name]:.1f}" for name in ("before_db", "after_db"))
-    fit = f"`hybrid levels` took {found['fit_seconds']:.0f} s for {found['steps']:,} steps; in views and cuts "
-    fit += f"that it was not fitted to yet, these brought {before} to {after} dB."
+    fit = f"`hybrid levels` took {found['fit_seconds']:.0f} s for {found['steps']:,} steps, which brought "
+    fit += f"{before} to {after} dB in views and cuts that it was not fitted to yet."
     table = markdown(["drawn", "Gaussians", "ms", "PSNR, dB", "JOD"], rows)
     return _with_provenance(f"{table}\n\n{fit}", "levels")
 
