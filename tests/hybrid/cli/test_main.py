@@ -18,6 +18,7 @@ from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_file, import_file
+from hybrid.cli.levels import levels
 from hybrid.cli.main import app, main
 from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
@@ -37,6 +38,7 @@ COMMANDS = {
     "prepare": prepare,
     "capture": capture,
     "train": train,
+    "levels": levels,
     "render": render,
     "demo": demo,
     "evaluate": evaluate,

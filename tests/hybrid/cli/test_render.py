@@ -74,6 +74,8 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "integrator": "cached",
         "unbiased": False,
         "acuity_model": "fov-gs",
+        "level": None,
+        "gaussians": None,
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": 0,
         "filled": 0.0,

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from compose.camera.camera import Camera
-from splat.raster.projection import NEAR, Splats, camera_numbers, footprints, project, view_position
+from splat.raster.projection import NEAR, Splats, camera_numbers, distance, footprints, project, view_position
 from tests.splat.raster import reference
 from tests.splat.raster.splats import inverse_covariance, parameters_from
 from tests.splat.samples import KINDS, camera, gaussians, white_dot
@@ -101,10 +101,12 @@ def test_gaussians_nearer_than_the_near_plane_are_not_seen(arrays):
 def test_positions_are_those_of_the_camera(arrays):
     g, cam = gaussians("behind the camera", n=200), camera()
     means = [arrays.plain.Float(row) for row in g.means]
-    seen, x, y, _ = view_position(arrays, means, cam)
+    seen, x, y, _ = view_position(means, camera_numbers(arrays, cam))
     expected, depth = cam.project(g.means.T.double().numpy())
     mask = depth > NEAR
     np.testing.assert_array_equal(seen.numpy(), mask)
+    away = np.linalg.norm(g.means.T.double().numpy() - cam.position, axis=1)
+    np.testing.assert_allclose(distance(means, camera_numbers(arrays, cam)).numpy(), away, rtol=1e-6)
     np.testing.assert_allclose(x.numpy()[mask], expected[mask, 0], rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(y.numpy()[mask], expected[mask, 1], rtol=1e-3, atol=1e-3)
 
@@ -113,7 +115,9 @@ def test_positions_are_those_of_the_camera(arrays):
 def test_no_footprint_is_larger_than_the_bound(arrays, kind):
     """Pixels per unit of length, times the longest axis, bounds the footprint's standard deviation."""
     g, cam = gaussians(kind, n=300), camera()
-    seen, _, _, spread = view_position(arrays, [arrays.plain.Float(row) for row in g.means], cam)
+    seen, _, _, spread = view_position(
+        [arrays.plain.Float(row) for row in g.means], camera_numbers(arrays, cam)
+    )
     raw = footprints(parameters_from(arrays, g), camera_numbers(arrays, cam))
     xx, xy, yy = (numbers(raw, name).astype(np.float64) for name in ("xx", "xy", "yy"))
     largest = np.sqrt((xx + yy) / 2 + np.sqrt(((xx - yy) / 2) ** 2 + xy**2))
@@ -124,7 +128,9 @@ def test_no_footprint_is_larger_than_the_bound(arrays, kind):
     # It is a useful bound, too: a round Gaussian on the axis reaches it.
     axis = Camera(np.eye(4), 33, 33, 40.0, 40.0, 16.5, 16.5)
     dot = white_dot(4.0, 0.5)
-    _, _, _, spread = view_position(arrays, [arrays.plain.Float(row) for row in dot.means], axis)
+    _, _, _, spread = view_position(
+        [arrays.plain.Float(row) for row in dot.means], camera_numbers(arrays, axis)
+    )
     assert spread.numpy()[0] * 0.5 == pytest.approx(5)
 
 
