@@ -13,6 +13,8 @@ from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 
 _STEPS = 2000
+# Focal length in pixels of the views of Gaussians that were trained on frames of no known size.
+_FOCAL = 300.0
 
 
 def levels(
@@ -43,11 +45,14 @@ def levels(
     o.select(backend)
     from hybrid.base.compute_device import device_arrays
     from hybrid.render.forest_attachments import views_of
+    from splat.io.ply import UNBOUND_FOCAL
     from splat.model.hierarchy import hierarchy_of
     from splat.training.display_fit import views_around
     from splat.training.hierarchy_fit import fitted_hierarchy
 
     finest, focal = forest.layers[-1], forest.trained_focal
+    if focal == UNBOUND_FOCAL:
+        focal = _FOCAL
     views = [forest.place.camera(view) for view in views_of(forest)]
     views = views or views_around(finest.gaussians, focal, seed)
     with progress_bar("tree (Gaussians)") as bar:

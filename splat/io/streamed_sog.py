@@ -2,7 +2,6 @@
 
 lod-meta.json    the chunks, and a spatial tree whose leaves name the chunk of each level
 0_0/, 0_1/, ...  LEVEL_LEAF: unbundled SOG, meta.json and WebP images; level 0 is the finest
-env/             what is far away, such as the sky, and always drawn
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.raster.tiles import TILE
 from splat.training.display_fit import between
+from splat.training.gaussian_optimizer import GaussianOptimizer
 
 # Cuts have this share of the leaves that a view shows, at least and at most, on a logarithmic scale.
 _LEAST, _MOST = 1 / 40, 0.9
@@ -59,8 +60,6 @@ def fitted_hierarchy(
         The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, at the first steps and at the
         last, in views that it was not fitted to yet.
     """
-    from splat.training.gaussian_optimizer import GaussianOptimizer
-
     nodes = hierarchy.nodes(leaves)
     cut, own = HierarchyCut(arrays, nodes), leaves.to(arrays.device)
     inner = nodes.gaussians.part(len(leaves), len(nodes.gaussians))

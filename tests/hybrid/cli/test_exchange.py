@@ -199,3 +199,15 @@ def test_levels_of_detail_are_fitted_and_stored(made, monkeypatch, tmp_path, cap
     assert len(found.hierarchy.inner) == json.loads(facts.read_text())["inner"] > 0
     assert "dB from pictures of the finest layer" in capsys.readouterr().out
     assert before.hierarchy is None
+
+
+def test_levels_of_an_imported_forest_are_fitted_in_views_that_show_it(made, monkeypatch, tmp_path):
+    export_file(made / "box.forest", tmp_path / "a.ply")
+    import_file(tmp_path / "a.ply", tmp_path / "b.forest")
+    before = load_forest(tmp_path / "b.forest").hierarchy_nodes.gaussians
+    assert run(monkeypatch, "levels", tmp_path / "b.forest", "--steps", 6) == 0
+    found = load_forest(tmp_path / "b.forest")
+    assert found.hierarchy.inner.blending is Blending.DISPLAY
+    moved = (found.hierarchy_nodes.gaussians.sh[0] != before.sh[0]).any(dim=0)
+    assert not moved[: len(found.finest)].any()
+    assert moved.float().mean() > 0.1
