@@ -87,9 +87,13 @@ class HierarchyCut:
         """
         if not self._count:
             return 1.0
-        changes = _changes(self._arrays, *self._view(camera, levels, blur=1.0)).numpy()
-        enough = np.flatnonzero(np.cumsum(changes) <= most)
-        step = int(enough[0]) if len(enough) else len(changes) - 1
+        counts = np.cumsum(_changes(self._arrays, *self._view(camera, levels, blur=1.0)).numpy())
+        enough = np.flatnonzero(counts <= most)
+        step = float(enough[0] if len(enough) else len(counts) - 1)
+        if len(enough) and step:
+            # Between two steps, so that the factor does not jump while the gaze moves.
+            more, fewer = counts[int(step) - 1], counts[int(step)]
+            step -= float(most - fewer) / float(more - fewer)
         return float(2 ** (step / _STEPS))
 
     def _view(self, camera: Camera, levels: Lattice, blur: float) -> tuple[Any, ...]:

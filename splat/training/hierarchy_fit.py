@@ -32,7 +32,7 @@ _LEAST, _MOST = 1 / 40, 0.9
 _FINEST = 0.05
 # Positions move by so much of what they do in a training.
 _STILLNESS = 0.1
-# Share of the steps, at both ends, whose errors are averaged.
+# Share of the steps, at the end, whose views tell how well others are shown.
 _JUDGED = 0.1
 
 
@@ -57,14 +57,14 @@ def fitted_hierarchy(
         progress: is told steps done, and all.
 
     Returns:
-        The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, at the first steps and at the
-        last, in views that it was not fitted to yet.
+        The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, before and after, in views
+        that it was not fitted to yet. If it is no better than before, it stays as it was.
     """
     nodes = hierarchy.nodes(leaves)
     cut, own = HierarchyCut(arrays, nodes), leaves.to(arrays.device)
     inner = nodes.gaussians.part(len(leaves), len(nodes.gaussians))
     optimizer = GaussianOptimizer(inner, _STILLNESS * TYPICAL_DISTANCE / focal, arrays.device)
-    errors: list[float] = []
+    merged, errors = inner.to(arrays.device), np.zeros((0, 2))
     for step in range(steps):
         rng = np.random.default_rng([seed, step])
         camera = between(cameras, focal, rng)
@@ -72,20 +72,24 @@ def fitted_hierarchy(
         few, many = chosen[chosen >= len(leaves)] - len(leaves), chosen[chosen < len(leaves)]
         if len(few):
             few, many = few.to(arrays.device), many.to(arrays.device)
-            low_pass = PIXEL_FILTER * max(1.0, camera.fy / focal) ** 2
-            shown = concatenated([own.select(many), optimizer.chosen(few)])
+            low_pass, finer = PIXEL_FILTER * max(1.0, camera.fy / focal) ** 2, own.select(many)
+            picture = lambda g: perceptual_from_radiance(  # noqa: E731
+                render_differentiable(arrays, g, camera, low_pass)  # noqa: B023
+            )
             with torch.no_grad():
-                truth = perceptual_from_radiance(render_differentiable(arrays, own, camera, low_pass))
-            image = perceptual_from_radiance(render_differentiable(arrays, shown, camera, low_pass))
-            difference = image - truth
+                truth = picture(own)
+            difference = picture(concatenated([finer, optimizer.chosen(few)])) - truth
             optimizer.step(difference.abs().mean(), step / steps)
-            errors.append(float(difference.detach().clamp(-1, 1).square().mean()))
+            if step >= (1 - _JUDGED) * steps:
+                with torch.no_grad():
+                    former = picture(concatenated([finer, merged.select(few)])) - truth
+                both = [part.detach().clamp(-1, 1).square().mean() for part in (former, difference)]
+                errors = np.append(errors, [list(map(float, both))], axis=0)
         progress(step + 1, steps)
     fitted = replace(optimizer.gaussians, blending=leaves.blending)
-    count = max(1, round(_JUDGED * len(errors)))
-    ends = (errors[:count], errors[-count:])
-    first, last = (decibels(float(np.mean(part))) if part else np.inf for part in ends)
-    return replace(hierarchy, inner=fitted), first, last
+    before, after = map(float, errors.mean(axis=0)) if len(errors) else (0.0, 0.0)
+    found = replace(hierarchy, inner=fitted) if after < before else hierarchy
+    return found, decibels(before), decibels(min(before, after))
 
 
 def _cut_at_random(cut: HierarchyCut, camera: Camera, rng: np.random.Generator) -> torch.Tensor:

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from splat.model.gaussians import Gaussians
 from splat.model.hierarchy import Hierarchy, hierarchy_of
 from splat.model.layer import static_layer
 from splat.raster.cut import HierarchyCut
 from splat.raster.differentiable import render_differentiable
+from splat.training.gaussian_optimizer import GaussianOptimizer
 from splat.training.hierarchy_fit import fitted_hierarchy
 from tests.splat.samples import camera, equal, gaussians
 
@@ -59,10 +61,19 @@ def test_a_fit_of_levels_repeats_by_its_seed(arrays):
     own = leaves(0)
     hierarchy = hierarchy_of(static_layer(own))
     one, other, third = (
-        fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, seed, 4)[0].inner for seed in (0, 0, 1)
+        fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, seed, 60)[0].inner for seed in (0, 0, 1)
     )
     assert equal(one, other)
     assert not equal(one, third)
+
+
+def test_nodes_that_a_fit_makes_no_better_stay(arrays, monkeypatch):
+    own = leaves(0)
+    hierarchy = hierarchy_of(static_layer(own))
+    monkeypatch.setattr(GaussianOptimizer, "_between", lambda *given: torch.tensor(0.5))
+    found, before, after = fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, 0, 20)
+    assert found is hierarchy
+    assert before == after
 
 
 def test_sizes_of_fitted_nodes_grow_towards_the_roots(arrays):
