@@ -1,8 +1,8 @@
 """Continuous levels of detail: the nodes of a hierarchy that are neither too large nor needlessly small.
 
 A level is the standard deviation that nodes may have, in pixels as at the frame's centre; it varies over the
-frame. A node is drawn if its parent is larger than the level there and it is not itself (perceptually guided
-continuous levels of detail, section 3.1), all in one pass over the nodes, together with culling. Before two
+frame. A node is drawn if its parent is larger than the level there and it is not itself, all in one pass over
+the nodes, together with culling (perceptually guided 3D Gaussian splatting, NYU-ICL, section 3.1). Before two
 children disappear, the larger one turns into their parent and the other one fades, so that nothing pops.
 """
 
