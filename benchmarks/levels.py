@@ -5,7 +5,6 @@ python -m benchmarks.levels SCENE --forest FOREST [--json FILE]
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,12 +15,12 @@ import drjit as dr
 import numpy as np
 
 import hybrid
-from compose.base.files import json_text
-from compose.image.colour import decibels, srgb_from_radiance
+from benchmarks.forest_script import run
 from hybrid.base.compute_device import device_arrays
 from hybrid.bench.periphery_bench import display_camera
+from hybrid.measure.image_metrics import psnr
 from hybrid.measure.perceptual_metrics import jod
-from hybrid.render.forest_attachments import views_of
+from hybrid.render.forest_attachments import own_views
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
 from splat.lod.layer_images import SplatImage
@@ -37,7 +36,7 @@ _SPLATS = FrameSettings(fov_a=0.0, fov_b=0.0, fill=False)
 def measured(scene_name: str, file: Path) -> dict[str, Any]:
     """Rows of methods on the display `desktop`, with the gaze in the middle, and what the fit brought."""
     forest, scene = hybrid.load_forest(file), hybrid.load_scene(scene_name)
-    hierarchy, views = forest.own_hierarchy, [forest.place.camera(view) for view in views_of(forest)]
+    hierarchy, views = forest.own_hierarchy, own_views(forest)
     start = time.perf_counter()
     fitted, before, after = fitted_hierarchy(
         device_arrays(), hierarchy, forest.finest, forest.trained_focal, views, 0, _STEPS
@@ -60,12 +59,11 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
 
         times = [_milliseconds(draw, number) for number in range(-2, _REPEATS)][2:]
         drawn = draw(0)
-        error = float(np.square(srgb_from_radiance(drawn.numpy()) - srgb_from_radiance(truth)).mean())
         return {
             "method": method,
             "nodes": drawn.nodes,
             "ms": float(np.median(times)),
-            "psnr": decibels(error),
+            "psnr": psnr(drawn.numpy(), truth),
             "jod": jod(drawn.numpy(), truth, settings.display, settings.gaze),
         }
 
@@ -87,23 +85,5 @@ def _milliseconds(draw: Callable[[int], SplatImage], number: int) -> float:
     return (time.perf_counter() - start) * 1000
 
 
-def main() -> None:
-    """Measures, prints what was found, and writes it."""
-    from pathtrace.scene.backend import select_backend
-
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("scene")
-    parser.add_argument("--forest", type=Path, required=True)
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    options = parser.parse_args()
-    select_backend()
-    text = json_text(measured(options.scene, options.forest))
-    print(text)
-    if options.json:
-        options.json.write_text(text)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, measured)

@@ -7,7 +7,6 @@ python -m benchmarks.stored SCENE --forest FOREST [--json FILE]
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +19,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import hybrid
-from compose.base.files import json_text
+from benchmarks.forest_script import run
 from compose.camera.camera import Array, Camera, turned
 from compose.camera.coordinate_systems import Place
 from compose.image.colour import decibels, srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
-from hybrid.render.forest_attachments import views_of
+from hybrid.render.forest_attachments import own_views
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.colmap_layout import write_colmap
 from pathtrace.dataset.frame_set import CaptureSettings
@@ -130,7 +129,7 @@ def measured(name: str, forest: Path) -> dict[str, Any]:
     """All that is told of a scene and its forest."""
     scene, loaded = hybrid.load_scene(name), load_forest(forest)
     place, focal = loaded.place, loaded.focal_of(len(loaded.layers))
-    views = [place.camera(view) for view in views_of(loaded)]
+    views = own_views(loaded)
     fitted, _ = fitted_for_display(device_arrays(), loaded.finest, focal, views, 0)
     ours, sent = (in_world(one, place).all_turning() for one in (loaded.finest, fitted))
     view = scene.camera.resized(_SIZE, _SIZE)
@@ -159,23 +158,5 @@ def _yawed(pose: Array, degrees: float) -> Array:
     return found
 
 
-def main() -> None:
-    """Measures, prints what was found, and writes it."""
-    from pathtrace.scene.backend import select_backend
-
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("scene")
-    parser.add_argument("--forest", type=Path, required=True)
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    options = parser.parse_args()
-    select_backend()
-    text = json_text(measured(options.scene, options.forest))
-    print(text)
-    if options.json:
-        options.json.write_text(text)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, measured)

@@ -104,12 +104,11 @@ def _export_streamed(forest: Forest, output: Path, seed: int, backend: str) -> N
 def _fitted(forest: Forest, layer: int, seed: int) -> tuple[Gaussians, float]:
     """Gaussians of a layer for other viewers, and how they look there, as `fitted_for_display` returns it."""
     from hybrid.base.compute_device import device_arrays
-    from hybrid.render.forest_attachments import views_of
+    from hybrid.render.forest_attachments import own_views
     from splat.training.display_fit import fitted_for_display, views_around
 
     gaussians, focal = forest.layers[layer - 1].gaussians, forest.focal_of(layer)
-    views = [forest.place.camera(view) for view in views_of(forest)]
-    views = views or views_around(gaussians, focal, seed)
+    views = own_views(forest) or views_around(gaussians, focal, seed)
     with progress_bar("fit for other viewers (steps)") as bar:
         return fitted_for_display(device_arrays(), gaussians, focal, views, seed, bar)
 

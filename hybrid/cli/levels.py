@@ -44,7 +44,7 @@ def levels(
         raise UserError(f"{source}: something moves in it, which has no continuous levels of detail")
     o.select(backend)
     from hybrid.base.compute_device import device_arrays
-    from hybrid.render.forest_attachments import views_of
+    from hybrid.render.forest_attachments import own_views
     from splat.io.ply import UNBOUND_FOCAL
     from splat.model.hierarchy import hierarchy_of
     from splat.training.display_fit import views_around
@@ -53,8 +53,7 @@ def levels(
     finest, focal = forest.layers[-1], forest.trained_focal
     if focal == UNBOUND_FOCAL:
         focal = _FOCAL
-    views = [forest.place.camera(view) for view in views_of(forest)]
-    views = views or views_around(finest.gaussians, focal, seed)
+    views = own_views(forest) or views_around(finest.gaussians, focal, seed)
     with progress_bar("tree (Gaussians)") as bar:
         hierarchy = hierarchy_of(finest, bar)
     with progress_bar("fit of levels (steps)") as bar:

@@ -92,6 +92,11 @@ def attach_views(forest: Forest, cameras: Sequence[Camera]) -> Forest:
     return replace(forest, attached=forest.attached | {_VIEWS: table})
 
 
+def own_views(forest: Forest) -> list[Camera]:
+    """What `views_of` returns, in the coordinates of the forest's nodes."""
+    return [forest.place.camera(view) for view in views_of(forest)]
+
+
 def views_of(forest: Forest) -> list[Camera]:
     """The views that a forest was trained on; none if it does not say, UserError if they are damaged."""
     table = forest.attached.get(_VIEWS)

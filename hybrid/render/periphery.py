@@ -157,9 +157,10 @@ class Periphery:
         region: FoveaRegion | CellRegion,
     ) -> tuple[SplatImage, SplatImage]:
         """What `draw` and, with settings, `under_disc` draw, in little more time than `draw` takes."""
-        levels, layer = detail.levels, lambda own: own if detail.levels is None else CONTINUOUS
+        levels = detail.levels
         images = [
-            LayerImage(layer(one.layer), one.rate, detail.weight(n)) for n, one in enumerate(detail.steps)
+            LayerImage(one.layer if levels is None else CONTINUOUS, one.rate, detail.weight(n))
+            for n, one in enumerate(detail.steps)
         ]
         under = None if settings is None else self._under(settings, region)
         if levels is not None and under is not None:
@@ -206,7 +207,7 @@ class Periphery:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
         under = self._under(settings, region)
         nothing = np.zeros((under.cells.shape[0] + 1, under.cells.shape[1] + 1), np.float32)
-        finest = nothing + np.float32(_FINEST_LEVEL)
+        finest = np.full_like(nothing, _FINEST_LEVEL) if settings.is_continuous else None
         return self._renderer.render(camera, [], nothing, np.zeros_like(under.cells), under, finest)[1]
 
     def _under(self, settings: FrameSettings, region: FoveaRegion | CellRegion) -> Under:

@@ -18,7 +18,7 @@ from compose.base.frozen import capacity
 from splat.lod.layer_images import NYQUIST, AtlasEntry, Lattice
 from splat.raster.projection import PIXEL_FILTER, Footprints
 from splat.raster.records import RecordLayout, Records, records_before
-from splat.raster.tiles import TILE
+from splat.raster.tiles import TILE, between_corners
 
 # Of an entry: its first candidate, and that one's number among all footprints; where its counts of cells and
 # the cut-off lie in the array; for its selection the variance of the widest filter in px^2, and pixels by
@@ -118,15 +118,7 @@ class EntryTable:
 
     def cutoff(self, entry: SimpleNamespace, x: Any, y: Any) -> Any:
         """The cut-off, linear between the corners of cells, at positions in pixels."""
-        Float, UInt = self.arrays.plain.Float, self.arrays.plain.UInt
-        u = dr.clip(x * (1 / TILE), 0, Float(self.columns) - 1.001)
-        v = dr.clip(y * (1 / TILE), 0, Float(self.rows) - 1.001)
-        column, row = UInt(u), UInt(v)
-        fu, fv = u - Float(column), v - Float(row)
-        above = entry.cutoff + row * self.columns + column
-        below = above + self.columns
-        lines = (dr.lerp(self._at(corner), self._at(corner + 1), fu) for corner in (above, below))
-        return dr.lerp(*lines, fv)
+        return between_corners(self.arrays, self._at, entry.cutoff, self.rows, self.columns, x, y)
 
     def _at(self, index: Any, valid: Any = True) -> Any:
         return dr.gather(self.arrays.plain.Float, self.records.tables[0], index, valid)

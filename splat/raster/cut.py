@@ -30,7 +30,7 @@ from splat.raster.projection import (
     within_frame,
 )
 from splat.raster.records import RecordLayout, Records
-from splat.raster.tiles import TILE
+from splat.raster.tiles import between_corners
 
 Lattice = NDArray[np.float32]
 # A node and its parent: centres, standard deviations along the longest axes, and how far from their centres
@@ -130,17 +130,8 @@ class LevelTable:
 
     def octaves(self, arrays: Arrays, x: Any, y: Any) -> Any:
         """Binary logarithms of the levels at positions in pixels, constant beyond the frame."""
-        Float, UInt = arrays.plain.Float, arrays.plain.UInt
-        # What is not a number becomes 0.
-        u = dr.minimum(dr.maximum(x * (1 / TILE), 0), Float(self.columns) - 1.001)
-        v = dr.minimum(dr.maximum(y * (1 / TILE), 0), Float(self.rows) - 1.001)
-        column, row = UInt(u), UInt(v)
-        fu, fv = u - Float(column), v - Float(row)
-        above = row * self.columns + column
-        below = above + self.columns
-        at = lambda corner: dr.gather(Float, self.values, corner)  # noqa: E731
-        lines = (dr.lerp(at(corner), at(corner + 1), fu) for corner in (above, below))
-        return dr.log2(dr.lerp(*lines, fv))
+        at = lambda corner: dr.gather(arrays.plain.Float, self.values, corner)  # noqa: E731
+        return dr.log2(between_corners(arrays, at, 0, self.rows, self.columns, x, y))
 
 
 def octaves_too_large(

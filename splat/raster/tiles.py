@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,3 +89,23 @@ class TileGrid:
         if wanted.shape != shape:
             raise ValueError(f"wanted has shape {wanted.shape}, expected {shape}")
         return wanted
+
+
+def between_corners(
+    arrays: Arrays, at: Callable[[Any], Any], first: Any, rows: Any, columns: Any, x: Any, y: Any
+) -> Any:
+    """A lattice at positions in pixels, linear between the corners of tiles and constant beyond the frame.
+
+    Args:
+        at: the Float at an index.
+        first: index of the first corner; the others follow row by row.
+        rows, columns: of corners, UInts of width 1.
+    """
+    Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    u = dr.clip(x * (1 / TILE), 0, Float(columns) - 1.001)
+    v = dr.clip(y * (1 / TILE), 0, Float(rows) - 1.001)
+    column, row = UInt(u), UInt(v)
+    fu, fv = u - Float(column), v - Float(row)
+    above = first + row * columns + column
+    below = above + columns
+    return dr.lerp(*(dr.lerp(at(corner), at(corner + 1), fu) for corner in (above, below)), fv)
