@@ -30,7 +30,7 @@ def raster(
     o.require_size(size)
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.bench.raster_bench import bench_raster
+    from hybrid.evaluation.raster_bench import bench_raster
 
     with progress_bar("bench (rounds)") as bar:
         row = bench_raster(gaussians, size, seed, repeats, warm_up=5, progress=bar)
@@ -56,7 +56,7 @@ def integrator(
     """Compare error, time and bias of both integrators on raw frames."""
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.bench.integrator_bench import bench_integrator
+    from hybrid.evaluation.integrator_bench import bench_integrator
 
     loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)
     with progress_bar("bench (samples)") as bar:
@@ -95,7 +95,7 @@ def periphery(
     settings = FrameSettings(fov_a=fov_b, fov_b=fov_b, display=display)
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.bench.periphery_bench import bench_periphery, display_camera
+    from hybrid.evaluation.periphery_bench import bench_periphery, display_camera
     from hybrid.measure.perceptual_metrics import INSTALL
     from hybrid.preparation.preparation import with_forest
 
@@ -147,7 +147,7 @@ def frame(
     o.select(backend)
     from compose import LLVM
     from hybrid.base.compute_device import device_arrays
-    from hybrid.bench.frame_bench import bench_frame
+    from hybrid.evaluation.frame_bench import bench_frame
     from hybrid.preparation.preparation import with_forest
 
     loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
@@ -207,7 +207,7 @@ def moving(
     """Play a scene that moves, as in the window, and compare its frames with other methods, by region."""
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.bench.moving_bench import bench_moving, require_moving
+    from hybrid.evaluation.moving_bench import bench_moving, require_moving
     from hybrid.preparation.preparation import with_forest
     from splat.io.forest_file import load_forest
 

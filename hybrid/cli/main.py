@@ -22,6 +22,7 @@ from hybrid.cli.progress import messages_as_lines
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
+from hybrid.cli.study import study_app
 from hybrid.cli.sweep import sweep
 from hybrid.cli.train import train
 
@@ -48,6 +49,7 @@ for command in (
     app.command()(command)
 app.command("export")(export_file)
 app.command("import")(import_file)
+app.add_typer(study_app, name="study")
 app.add_typer(bench_app, name="bench")
 
 

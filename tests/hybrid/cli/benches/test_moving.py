@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from hybrid.bench import moving_bench as module
 from hybrid.cli.bench import moving as command
+from hybrid.evaluation import moving_bench as module
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest, save_forest
 from tests.hybrid.command import run

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera
-from hybrid.bench import integrator_bench as look_up
-from hybrid.bench.integrator_bench import look_up_ns
+from hybrid.evaluation import integrator_bench as look_up
+from hybrid.evaluation.integrator_bench import look_up_ns
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache

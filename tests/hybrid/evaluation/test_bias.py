@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.bench.integrator_bench import BLOCK, block_errors, relative_errors
+from hybrid.evaluation.integrator_bench import BLOCK, block_errors, relative_errors
 
 
 def test_errors_are_those_of_mean_and_blocks():

@@ -9,7 +9,7 @@ import torch
 
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
-from hybrid.bench.last_frame import LastFrameRenderer
+from hybrid.evaluation.last_frame import LastFrameRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
 from splat.model.forest import Forest, forest_of

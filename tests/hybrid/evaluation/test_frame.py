@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from compose.fovea.foveation import FoveaMode
-from hybrid.bench.frame_bench import HostBytes, bench_frame
+from hybrid.evaluation.frame_bench import HostBytes, bench_frame
 from hybrid.render import frame_renderer as module
 from hybrid.render.forest_attachments import attach_views
 from hybrid.render.frame_renderer import LiveRenderer, Renderer

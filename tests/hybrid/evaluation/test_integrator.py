@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.bench.integrator_bench import bench_integrator
+from hybrid.evaluation.integrator_bench import bench_integrator
 from hybrid.render import irradiance
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene

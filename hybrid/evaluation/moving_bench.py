@@ -20,9 +20,9 @@ from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
 from hybrid.base.progress import Steps
-from hybrid.bench.last_frame import LastFrameRenderer
 from hybrid.evaluation.baselines import enlarged
 from hybrid.evaluation.equal_cost import at_equal_time
+from hybrid.evaluation.last_frame import LastFrameRenderer
 from hybrid.evaluation.methods import HybridMethod, Method
 from hybrid.measure.frame_times import percentiles, ratio_of_medians
 from hybrid.measure.image_metrics import psnr_of_error, registration_px

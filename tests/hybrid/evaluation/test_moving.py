@@ -11,10 +11,10 @@ import pytest
 from compose.base.errors import UserError
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
-from hybrid.bench import moving_bench as module
-from hybrid.bench.moving_bench import ALONE, HYBRID, SPLATS, TRACED, bench_moving
 from hybrid.evaluation import equal_cost
+from hybrid.evaluation import moving_bench as module
 from hybrid.evaluation.methods import Method
+from hybrid.evaluation.moving_bench import ALONE, HYBRID, SPLATS, TRACED, bench_moving
 from hybrid.render.frame_settings import INTERACTIVE
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions

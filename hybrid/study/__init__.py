@@ -1,0 +1,1 @@
+"""Studies with observers: their design, their stimuli, how they are run, and their analysis."""

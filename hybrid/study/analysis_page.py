@@ -1,0 +1,289 @@
+"""The analysis of a study as a page that requires no server, and as tables for spreadsheets and papers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jinja2 import Environment, PackageLoader
+from markupsafe import Markup
+
+from compose.base.files import json_text, write_whole
+from hybrid.evaluation.result_plots import OTHER_COLOUR, OURS_COLOUR, new_axes, svg_of
+from hybrid.study.analysis import p_text
+from hybrid.study.observations import write_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Row = dict[str, Any]
+# What LaTeX takes for commands, and how it writes them.
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+}
+# Bars of a plot in which names can still be read.
+_MOST_BARS = 40
+# Votes that have a name in the legend.
+_MOST_NAMED = 11
+
+
+def write_page(folder: Path, found: Row) -> None:
+    """Writes index.html, analysis.json, table.csv and table.tex, of what `analysis.analyse` found, each whole.
+
+    The tables hold the quality of each condition and the comparison of each pair.
+    """
+    tables = tables_of(found)
+    templates = Environment(loader=PackageLoader("hybrid.study", "."), autoescape=True)
+    page = templates.get_template("analysis.html").render(
+        title="Analysis of " + ("votes" if found["kind"] == "ratings" else "choices between two"),
+        sentences=found["sentences"],
+        plots=[Markup(plot) for plot in plots(found)],
+        tables=tables,
+        screening=screening_table(found),
+        found=found,
+        percent=f"{100 * found['settings']['level']:g} %",
+    )
+    csv_rows: list[Sequence[object]] = []
+    for table in tables:
+        csv_rows += [[table["title"]], table["columns"], *table["rows"], []]
+    _write_text(folder / "index.html", page)
+    _write_text(folder / "analysis.json", json_text(found))
+    write_table(folder / "table.csv", csv_rows[:-1])
+    _write_text(folder / "table.tex", "\n".join(latex_table(table) for table in tables))
+
+
+def _write_text(path: Path, text: str) -> None:
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def tables_of(found: Row) -> list[Row]:
+    """Qualities of conditions and comparisons of pairs: `title`, `columns`, `rows` of texts, and `main`.
+
+    Those that are not `main` are of single groups or scenes, and stand folded up in the page.
+    """
+    if found["kind"] == "choices":
+        return [t | {"main": not n} for n, scale in enumerate(found["scales"]) for t in _of_scale(scale)]
+    scores = found["scores"]
+    tables = [_scores("Mean opinion scores", [row for row in scores if not row["scene"]]) | {"main": True}]
+    if found["comparison"]:
+        tables.append(_rated_pairs(found["comparison"]) | {"main": True})
+    of_scenes = [row for row in scores if row["scene"]]
+    if of_scenes:
+        tables.append(_scores("Mean opinion scores of scenes", of_scenes) | {"main": False})
+    return tables
+
+
+def _of_scale(scale: Row) -> list[Row]:
+    of = f" of {scale['group']}" if scale["group"] else ""
+    qualities = [
+        [row["condition"], *(_number(row[name]) for name in ("jod", "low", "high"))]
+        for row in scale["qualities"]
+    ]
+    pairs = [
+        [
+            row["first"],
+            row["second"],
+            *(_number(row[name]) for name in ("difference", "low", "high")),
+            p_text(row["p_holm"]),
+            "-" if row["share"] is None else f"{100 * row['share']:.0f} %",
+            str(row["trials"]),
+            "-" if row["binomial_p_holm"] is None else p_text(row["binomial_p_holm"]),
+            _verdict(row),
+        ]
+        for row in scale["pairs"]
+    ]
+    columns = ["better", "worse", "JOD", "low", "high", "p", "chosen", "trials", "binomial p", "verdict"]
+    return [
+        {"title": f"Quality{of}, JOD", "columns": ["condition", "JOD", "low", "high"], "rows": qualities},
+        {"title": f"Pairs{of}; {scale['observers']} observers", "columns": columns, "rows": pairs},
+    ]
+
+
+def _scores(title: str, scores: list[Row]) -> Row:
+    columns = [
+        "condition",
+        "scene",
+        "observers",
+        "votes",
+        "MOS",
+        "low",
+        "high",
+        "low (votes)",
+        "high (votes)",
+    ]
+    rows = [
+        [
+            row["condition"] or "all",
+            row["scene"] or "all",
+            str(row["observers"]),
+            str(row["votes"]),
+            *(_number(row[name]) for name in ("mean", "low", "high", "votes_low", "votes_high")),
+        ]
+        for row in scores
+    ]
+    return {"title": title, "columns": columns, "rows": rows}
+
+
+def _rated_pairs(comparison: Row) -> Row:
+    columns = ["better", "worse", "difference", "low", "high", "test", "p", "d", "d_z", "effect", "power"]
+    rows = [
+        [
+            row["first"],
+            row["second"],
+            *(_number(row[name]) for name in ("difference", "low", "high")),
+            row["test"],
+            p_text(row["p_holm"]),
+            _number(row["d"]),
+            _number(row["d_z"]),
+            row["effect"],
+            _number(row["power"]),
+            _number(row["detectable"]),
+            _verdict(row),
+        ]
+        for row in comparison["pairs"]
+    ]
+    title, whole = f"Pairs; {len(comparison['observers'])} observers", comparison["omnibus"]
+    if whole:
+        corrected = f", epsilon {whole['epsilon']:.2f}" if "epsilon" in whole else ""
+        title += f"; {whole['test']}: {whole['statistic']:.2f}, {p_text(whole['p'])}{corrected}"
+    return {"title": title, "columns": [*columns, "detectable", "verdict"], "rows": rows}
+
+
+def screening_table(found: Row) -> Row:
+    """What screening looked at, of each observer."""
+    if found["kind"] == "choices":
+        columns, names, counts = ["observer", "answers", "agreement"], ["agreement"], ["answers"]
+    else:
+        columns, names = ["observer", "votes", "far above", "far below", "mean", "sd"], ["mean", "sd"]
+        counts = ["votes", "above", "below"]
+    rows = []
+    for row in found["screening"]:
+        kept = "kept all the same" if row["observer"] not in found["dropped"] else "left out"
+        cells = [row["observer"], *(str(row[n]) for n in counts), *(_number(row[n]) for n in names)]
+        rows.append([*cells, kept if row["dropped"] else ""])
+    return {"columns": [*columns, ""], "rows": rows}
+
+
+def latex_table(table: Row) -> str:
+    """A table in plain LaTeX, with the lines of booktabs drawn by \\hline."""
+    cells = [" & ".join(map(latex_text, row)) + r" \\" for row in [table["columns"], *table["rows"]]]
+    lines = [
+        f"% {table['title']}",
+        rf"\begin{{tabular}}{{l*{{{len(table['columns']) - 1}}}{{r}}}}",
+        r"\hline",
+        cells[0],
+        r"\hline",
+        *cells[1:],
+        r"\hline",
+        r"\end{tabular}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def latex_text(text: str) -> str:
+    """A text as LaTeX prints it."""
+    return "".join(_LATEX.get(sign, sign) for sign in text)
+
+
+def plots(found: Row) -> list[str]:
+    """Qualities with their intervals, differences of pairs with the margin, and votes, as SVG elements."""
+    margin = found["settings"]["margin"]
+    if found["kind"] == "choices":
+        told, labels = found["scales"], [f" of {s['group']}" if s["group"] else "" for s in found["scales"]]
+        drawn = [
+            _intervals(s["qualities"], "jod", f"quality{of}, JOD") for s, of in zip(told, labels, strict=True)
+        ]
+        if len(told[0]["pairs"]) <= _MOST_BARS:
+            drawn.insert(1, _differences(told[0]["pairs"], margin, f"difference{labels[0]}, JOD"))
+        return drawn
+    scores = [row for row in found["scores"] if row["condition"] and not row["scene"]]
+    drawn = [
+        _intervals(sorted(scores, key=lambda row: -row["mean"]), "mean", "mean opinion score"),
+        _votes(found),
+    ]
+    if found["comparison"] and len(found["comparison"]["pairs"]) <= _MOST_BARS:
+        drawn.append(_differences(found["comparison"]["pairs"], margin, "difference, steps of the scale"))
+    return drawn
+
+
+def _bars(count: int) -> Axes:
+    """Axes of horizontal bars, the first one on top."""
+    axes = new_axes()
+    axes.get_figure().set_size_inches(7.2, 1.4 + 0.32 * count)  # type: ignore[union-attr]
+    axes.invert_yaxis()
+    axes.margins(y=0.5 / count)
+    return axes
+
+
+def _intervals(rows: list[Row], name: str, label: str) -> str:
+    rows = rows[:_MOST_BARS]
+    axes = _bars(len(rows))
+    for at, row in enumerate(rows):
+        _interval(axes, at, row, row[name], OTHER_COLOUR)
+    axes.set_yticks(range(len(rows)), [_short(row["condition"]) for row in rows])
+    axes.set_xlabel(label)
+    return svg_of(axes)
+
+
+def _differences(rows: list[Row], margin: float, label: str) -> str:
+    """Differences of pairs: red if they differ; the grey band is what counts as equivalent."""
+    axes = _bars(len(rows))
+    axes.axvspan(-margin, margin, color="#ddd", lw=0)
+    axes.axvline(0, color="#888", lw=0.8)
+    for at, row in enumerate(rows):
+        _interval(axes, at, row, row["difference"], OURS_COLOUR if row["different"] else OTHER_COLOUR)
+    names = [f"{_short(row['first'])} − {_short(row['second'])}" for row in rows]  # noqa: RUF001
+    axes.set_yticks(range(len(rows)), names)
+    axes.set_xlabel(label)
+    return svg_of(axes)
+
+
+def _interval(axes: Axes, at: int, row: Row, value: float, colour: str) -> None:
+    if row["low"] is not None:
+        axes.plot([row["low"], row["high"]], [at, at], color=colour, lw=1.5, solid_capstyle="butt")
+    axes.plot(value, at, "o", color=colour, ms=5)
+
+
+def _votes(found: Row) -> str:
+    """Shares of the votes of each condition as stacked bars, from the worst vote to the best."""
+    from matplotlib import colormaps
+
+    rows = found["votes"][:_MOST_BARS]
+    order = {row["condition"]: -row["mean"] for row in found["scores"] if not row["scene"]}
+    rows = sorted(rows, key=lambda row: order[row["condition"]])
+    values = sorted({vote for row in rows for vote in row["counts"]}, key=float)
+    # A continuous scale has too many.
+    named = len(values) <= _MOST_NAMED
+    axes = _bars(len(rows))
+    left = [0.0] * len(rows)
+    for n, vote in enumerate(values):
+        colour = colormaps["RdYlBu"](0.1 + 0.8 * n / max(len(values) - 1, 1))
+        shares = [100 * row["counts"].get(vote, 0) / sum(row["counts"].values()) for row in rows]
+        axes.barh(range(len(rows)), shares, 0.7, left, color=colour, label=vote if named else None)
+        left = [a + b for a, b in zip(left, shares, strict=True)]
+    axes.set_yticks(range(len(rows)), [_short(row["condition"]) for row in rows])
+    axes.set_xlabel("votes, %")
+    axes.set_xlim(0, 100)
+    if named:
+        axes.legend(ncols=len(values), loc="lower center", bbox_to_anchor=(0.5, 1), frameon=False, fontsize=8)
+    return svg_of(axes)
+
+
+def _verdict(row: Row) -> str:
+    verdicts = {"different": row["different"], "equivalent": row["equivalent"]}
+    return " and ".join(name for name, holds in verdicts.items() if holds) or "open"
+
+
+def _short(name: str) -> str:
+    # Dollar signs would begin formulas.
+    return (name if len(name) <= 30 else f"{name[:29]}…").replace("$", r"\$")
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

@@ -1,0 +1,377 @@
+"""One observer's session: what is shown next, what is stored of each answer, and how it resumes.
+
+A session knows no toolkit: a canvas (Qt, browser, simulated observer) shows each step and replies to it. Of
+an observer nothing is stored but a number, the answers with their timing, and what the design asks for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import itertools
+import json
+import math
+import os
+import secrets
+from collections import deque
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import json_text, require_size_below, write_whole
+from hybrid.study.design import SCALES, Design, StudyMethod, Trial
+
+RESULTS = "results"
+COLUMNS = (
+    *("observer", "trial", "attempt", "kind", "scene", "repeat", "condition", "vote", "first", "second"),
+    *("chosen", "correct", "problem", "reaction_ms", "interval_ms", "dropped", "late", "phases"),
+)
+# A trial that failed is shown again at the end, up to so often in all; the last time it counts anyway.
+_ATTEMPTS = 3
+# Display intervals by which a phase may be longer or shorter.
+_INTERVALS = 2.0
+# Share of the gaze that may be further from the cross than the design tolerates.
+_MOST_OFF = 0.25
+_MOST_BYTES, _MOST_TEXT = 1 << 26, 1_000
+Step = dict[str, Any]
+
+
+class GazeStream(Protocol):
+    """Where an eye tracker reports the gaze."""
+
+    def last(self, seconds: float) -> list[tuple[float, float, float]]:
+        """Gazes of the last seconds: seconds ago, x and y in fractions of the frame."""
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """A trial whose turn comes: its number in the observer's order, from 1, and which attempt it is."""
+
+    number: int
+    trial: Trial
+    attempt: int = 1
+
+
+class StudySession:
+    """The session of an observer, numbered from 1; it resumes where the observer's file ends.
+
+    UserError if the file is damaged, belongs to another design, or is in use.
+    """
+
+    def __init__(self, folder: Path, design: Design, observer: int, stream: GazeStream | None = None):
+        self.folder, self._design, self._observer, self._stream = folder, design, observer, stream
+        self.file = observer_file(folder, observer)
+        self._queue = deque(_Turn(number, one) for number, one in enumerate(design.order(observer - 1), 1))
+        self._votes = sum(turn.trial.kind == "vote" for turn in self._queue)
+        self._resumed = self.file.exists()
+        self._since_break = 0
+        self._rows = self._opened()
+        # Not from 0: a page that was open before a crash must not answer for the new session.
+        self._ids = itertools.count(secrets.randbelow(1 << 32))
+        self._flow = self._steps()
+        self.step: Step = {"id": next(self._ids), **next(self._flow)}
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to answer."""
+        return self.step["kind"] == "end"
+
+    def answer(self, reply: Any) -> None:
+        """Takes the reply to the current step; UserError, and no change, if it is not one."""
+        if not isinstance(reply, dict) or reply.get("step") != self.step["id"]:
+            raise UserError("reply: does not answer the current step")
+        if self.done:
+            return
+        try:
+            checked = _CHECKS.get(self.step["kind"], lambda step, reply: reply)(self.step, reply)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise UserError(f"reply: is not one to a {self.step['kind']} ({one_line(error)})") from error
+        self.step = {"id": next(self._ids), **self._flow.send(checked)}
+
+    def missing(self, file: str) -> UserError:
+        """What to raise where a frame of a clip cannot be read."""
+        return UserError(f"{self.folder / file}: is missing or damaged; design the study again")
+
+    def close(self) -> None:
+        """Gives the observer's file back."""
+        self._rows.close()
+
+    def _steps(self) -> Generator[Step, dict[str, Any], None]:
+        design = self._design
+        if self._resumed:
+            yield _text("Welcome back", "The study goes on where it ended.", "Continue")
+        else:
+            yield _text("Before we begin", design.consent, "I agree")
+            if design.fields:
+                reply = yield {
+                    "kind": "form",
+                    "title": "About you",
+                    "fields": [{"choices": [], **one} for one in design.fields],
+                    "button": "Continue",
+                }
+                asked = json_text(reply["values"])
+                write_whole(self.file.with_suffix(".json"), lambda part: part.write_text(asked, "utf-8"))
+            self._append(COLUMNS)
+            yield _text("What to do", design.intro, "Begin")
+        before = "training"
+        while self._queue:
+            turn = self._queue[0]
+            if before == "training" != turn.trial.kind and design.training and not self._resumed:
+                yield _text("That was the training", "From now on, your answers count.", "Begin")
+            if self._since_break >= design.between_breaks:
+                self._since_break = 0
+                left = sum(turn.trial.kind != "training" for turn in self._queue)
+                body = f"Rest your eyes for a while. {left} trials are left."
+                yield _text("Break", body, "Continue", design.timing.rest)
+            before = turn.trial.kind
+            reply = yield self._trial(turn)
+            self._take(turn, reply)
+        yield {
+            "kind": "end",
+            "title": "Thank you",
+            "body": "The study is complete. You may close this window.",
+        }
+
+    def _trial(self, turn: _Turn) -> Step:
+        design = self._design
+        question, scale = SCALES[design.method]
+        count = self._votes - sum(one.trial.kind == "vote" for one in self._queue)
+        return {
+            "kind": "trial",
+            "number": min(count + 1, self._votes),
+            "of": self._votes,
+            "phases": design.phases(turn.trial),
+            "question": question,
+            "answers": [{"value": value, "label": label, "key": str(value)} for value, label in scale],
+            "seconds_to_answer": design.timing.answer,
+            "least_seconds": design.timing.least_answer,
+            "background": list(design.background),
+            "size": list(design.size),
+            "gaze": design.gaze,
+        }
+
+    def _take(self, turn: _Turn, reply: dict[str, Any]) -> None:
+        """Stores the answer to a trial; one that failed is stored as such, and shown again later."""
+        trial, answer, phases = turn.trial, reply["answer"], reply["phases"]
+        problem = self._problem(trial, reply)
+        # Training is over by then.
+        again = bool(problem) and turn.attempt < _ATTEMPTS and trial.kind != "training"
+        values: dict[str, Any] = self._identity(turn) | {
+            "kind": "repeated" if again else trial.kind,
+            "chosen" if self._design.method is StudyMethod.PAIRS else "vote": ""
+            if answer is None
+            else answer,
+            "correct": _correct(trial, answer),
+            "problem": problem,
+            "reaction_ms": round(reply["reaction_ms"], 1),
+            "interval_ms": round(reply["interval_ms"], 2),
+            "dropped": sum(one["dropped"] for one in phases),
+            "late": sum(one["late"] for one in phases),
+            "phases": " ".join(f"{one['asked_ms']:.0f}:{one['shown_ms']:.1f}" for one in phases),
+        }
+        self._append([values.get(name, "") for name in COLUMNS])
+        self._passed(again)
+
+    def _identity(self, turn: _Turn) -> dict[str, Any]:
+        """What of a row the design and the observer's number already say."""
+        trial, design = turn.trial, self._design
+        names = trial.comparison.clips[::-1] if trial.swapped else trial.comparison.clips
+        conditions = [design.clip(name).condition for name in names]
+        pairs = design.method is StudyMethod.PAIRS
+        shown = dict(zip(("first", "second"), conditions, strict=True)) if pairs else {}
+        return shown | {
+            "observer": self._observer,
+            "trial": turn.number,
+            "attempt": turn.attempt,
+            "scene": trial.comparison.scene,
+            "repeat": trial.repeat + 1,
+            "condition": "" if pairs else conditions[-1],
+        }
+
+    def _passed(self, again: bool) -> None:
+        turn = self._queue.popleft()
+        self._since_break += 1
+        if again:
+            self._queue.append(replace(turn, attempt=turn.attempt + 1))
+
+    def _problem(self, trial: Trial, reply: dict[str, Any]) -> str:
+        """Why a trial is shown again; empty if it counts."""
+        phases, most = reply["phases"], _INTERVALS * reply["interval_ms"]
+        if reply["answer"] is None:
+            return "no answer"
+        if any(one["dropped"] for one in phases):
+            return "dropped frames"
+        if any(one["late"] for one in phases):
+            return "late frames"
+        if any(abs(one["shown_ms"] - one["asked_ms"]) > most for one in phases):
+            return "late phase"
+        if self._design.gaze == "none":
+            return ""
+        return self._gaze_problem(trial, reply)
+
+    def _gaze_problem(self, trial: Trial, reply: dict[str, Any]) -> str:
+        gaze = reply["gaze"]
+        if self._stream is not None:
+            ago = (sum(one["shown_ms"] for one in reply["phases"]) + reply["reaction_ms"]) / 1000
+            gaze = [((ago - since) * 1000, x, y) for since, x, y in self._stream.last(ago)]
+            if not gaze:
+                return "no gaze"
+        off = _off_the_cross(self._design, self._design.phases(trial), reply["phases"], gaze)
+        return "looked away" if off > _MOST_OFF else ""
+
+    def _append(self, values: Any) -> None:
+        """Adds a row, which is on the disk when this returns."""
+        line = io.StringIO()
+        csv.writer(line, lineterminator="\n").writerow(values)
+        try:
+            self._rows.write(line.getvalue().encode())
+            self._rows.flush()
+            os.fsync(self._rows.fileno())
+        except OSError as error:
+            raise UserError(f"{self.file}: cannot be written ({error.strerror})") from error
+
+    def _opened(self) -> io.BufferedRandom:
+        """The observer's file, locked, and read as far as it goes."""
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            file = self.file.open("ab+")
+        except OSError as error:
+            raise UserError(f"{self.file}: cannot be written ({error.strerror})") from error
+        try:
+            _lock(file, self._observer)
+            if self._resumed:
+                self._replay(file)
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+    def _replay(self, file: io.BufferedRandom) -> None:
+        """Passes the trials that have been answered; what a crash left of a line is removed."""
+        try:
+            require_size_below(self.file, _MOST_BYTES)
+            file.seek(0)
+            content = file.read()
+            whole = content[: content.rfind(b"\n") + 1]
+            rows = list(csv.reader(io.StringIO(whole.decode())))
+        except (OSError, ValueError, csv.Error) as error:
+            raise UserError(f"{self.file}: is damaged ({one_line(error)})") from error
+        if rows and tuple(rows[0]) != COLUMNS:
+            raise UserError(f"{self.file}: line 1: must be {','.join(COLUMNS)}")
+        for number, row in enumerate(rows[1:], 2):
+            self._replay_row(number, row)
+        if len(whole) < len(content):
+            file.truncate(len(whole))
+        # Without its first line, it is that of an observer who has not begun.
+        self._resumed = bool(rows)
+
+    def _replay_row(self, number: int, row: list[str]) -> None:
+        found = dict(zip(COLUMNS, row, strict=False))
+        if len(row) != len(COLUMNS) or not self._queue:
+            raise UserError(f"{self.file}: line {number} is not an answer to a trial of this study")
+        for name, value in self._identity(self._queue[0]).items():
+            if found[name] != str(value):
+                was = f"{name} {found[name][:40]!r} where the design has {value!r}"
+                raise UserError(f"{self.file}: line {number}: {one_line(was)}; its design was another one")
+        self._passed(found["kind"] == "repeated")
+
+
+def observer_file(folder: Path, observer: int) -> Path:
+    """Where an observer's answers are."""
+    return folder / RESULTS / f"observer-{observer:03}.csv"
+
+
+def next_observer(folder: Path) -> int:
+    """The number after the highest that has begun, from 1."""
+    names = [file.stem.removeprefix("observer-") for file in (folder / RESULTS).glob("observer-*.csv")]
+    return 1 + max((int(name) for name in names if name.isdecimal()), default=0)
+
+
+def _lock(file: io.BufferedRandom, observer: int) -> None:
+    """Keeps other processes from running the same observer, where the system can."""
+    with contextlib.suppress(ImportError):
+        import fcntl
+
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise UserError(f"observer {observer}: is being run by another process") from error
+
+
+def _text(title: str, body: str, button: str, seconds: float = 0.0) -> Step:
+    return {"kind": "text", "title": title, "body": body, "button": button, "seconds": seconds}
+
+
+def _correct(trial: Trial, answer: int | None) -> str:
+    """Whether an answer that is known was given; empty for trials that do not check attention."""
+    if trial.kind != "attention":
+        return ""
+    wanted = (
+        {3 - value for value in trial.comparison.expected} if trial.swapped else trial.comparison.expected
+    )
+    return "yes" if answer in wanted else "no"
+
+
+def _off_the_cross(
+    design: Design, asked: list[dict[str, Any]], shown: list[dict[str, Any]], gaze: list[Any]
+) -> float:
+    """Share of the gazes during clips that are further from the cross than tolerated; 0 without any."""
+    start, off = 0.0, []
+    for phase, took in zip(asked, shown, strict=True):
+        end = start + took["shown_ms"]
+        markers = phase["marker"] if phase["kind"] == "clip" else None
+        for ms, x, y in gaze if markers else ():
+            if start <= ms < end:
+                at = markers[min(int((ms - start) / 1000 * phase["fps"]), len(markers) - 1)]
+                pixels = math.hypot((x - at[0]) * design.size[0], (y - at[1]) * design.size[1])
+                off.append(pixels / design.pixels_per_degree > design.tolerance)
+        start = end
+    return float(np.mean(off)) if off else 0.0
+
+
+def _checked_form(step: Step, reply: dict[str, Any]) -> dict[str, Any]:
+    values = {}
+    for one in step["fields"]:
+        value = str(reply["values"][one["name"]])[:_MOST_TEXT]
+        if one["type"] == "number" and value:
+            _finite(value)
+        if one["type"] == "choice" and value not in ("", *one["choices"]):
+            raise ValueError(f"{value[:40]!r} is not one of the choices")
+        values[one["name"]] = value
+    return {"values": values}
+
+
+def _checked_trial(step: Step, reply: dict[str, Any]) -> dict[str, Any]:
+    answer = reply["answer"]
+    if answer not in (None, *(one["value"] for one in step["answers"])):
+        raise ValueError("the answer is not one of the scale")
+    phases = [
+        {name: _finite(one[name]) for name in ("asked_ms", "shown_ms")}
+        | {name: int(_finite(one[name])) for name in ("dropped", "late")}
+        for one in reply["phases"]
+    ]
+    if len(phases) != len(step["phases"]):
+        raise ValueError(f"{len(phases)} phases in place of {len(step['phases'])}")
+    return {
+        "answer": None if answer is None else int(answer),
+        "phases": phases,
+        "reaction_ms": _finite(reply["reaction_ms"]),
+        "interval_ms": _finite(reply["interval_ms"]),
+        "gaze": [[_finite(ms), float(x), float(y)] for ms, x, y in reply.get("gaze", ())],
+    }
+
+
+def _finite(value: Any) -> float:
+    """A number of 0 or more."""
+    number = float(value)
+    if not 0 <= number < math.inf:
+        raise ValueError(f"{json.dumps(value)[:40]} is not a number of 0 or more")
+    return number
+
+
+_CHECKS = {"form": _checked_form, "trial": _checked_trial}
