@@ -57,6 +57,7 @@ MEASUREMENTS = {
     "raster": "hybrid bench raster",
     "stored": f"python -m benchmarks.stored room {_FRAMES}",
     "acuity": "python -m benchmarks.fit_acuity VISION",
+    "studies": "python -m benchmarks.studies VISION",
 }
 
 

@@ -299,6 +299,44 @@ def acuity() -> str:
     return _with_provenance(f"{markdown(header, rows)}\n\n{left_out}", "acuity")
 
 
+def studies() -> str:
+    """How exactly studies show what they ask for, and how far their analysis can be trusted."""
+    found = result("studies")
+    timing = markdown(
+        ["shown in", "frames of a clip", "trials", "median", "99 %", "frames dropped", "late"],
+        [
+            [
+                row["canvas"],
+                *(str(row[name]) for name in ("frames", "trials")),
+                *(f"{row[name]:.2f}" for name in ("median", "p99")),
+                *(str(row[name]) for name in ("dropped", "late")),
+            ]
+            for row in found["timing"]
+        ],
+    )
+    coverage = markdown(
+        ["answers", "studies", "differences in their 95 % interval", "of 100 studies", "none, called one"],
+        [
+            [
+                name,
+                f"{row['studies']:,}",
+                f"{100 * row['inside']:.1f} %",
+                f"{100 * row['least_of_100']:.1f} to {100 * row['most_of_100']:.1f}",
+                f"{100 * row['false_differences']:.1f} %",
+            ]
+            for name, row in found["coverage"].items()
+        ],
+    )
+    published = markdown(
+        ["choices", "conditions", "r", "rms"],
+        [
+            [name, str(row["conditions"]), f"{row['r']:.4f}", f"{row['rms']:.3f}"]
+            for name, row in found["published"].items()
+        ],
+    )
+    return _with_provenance(f"{timing}\n\n{coverage}\n\n{published}", "studies")
+
+
 def stored() -> str:
     """What formats of Gaussians keep of a forest's finest layer."""
     found = result("stored")
@@ -479,7 +517,7 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
 )
 _MADE = (
     *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators),
-    *(periphery, levels, acuity, frames, raster, window, stored, colmap),
+    *(periphery, levels, acuity, studies, frames, raster, window, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -119,9 +120,10 @@ def design(
     """Render the stimuli of a study, and write its design; resumes if interrupted."""
     from hybrid.study.clips import PRESETS, Presentation, load_conditions
 
-    chosen = _one_of("--preset", preset, PRESETS)
-    _one_of("--stimulus", stimulus, dict.fromkeys(_KINDS))
-    _one_of("--gaze-input", gaze_input, dict.fromkeys(("none", "mouse", "stream")))
+    _one_of("--preset", preset, PRESETS)
+    _one_of("--stimulus", stimulus, _KINDS)
+    _one_of("--gaze-input", gaze_input, ("none", "mouse", "stream"))
+    chosen = PRESETS[preset]
     if forest and len(forest) != len(scenes):
         raise UserError(f"--forest: {len(forest)} for {len(scenes)} scenes; must be one for each, or none")
     o.require_size(size)
@@ -133,15 +135,17 @@ def design(
         size,
         frame,
         _trace(gaze_trace, stimulus, frame, size),
+        views or chosen.views,
         reference_spp,
         seed,
     )
     wanted = chosen.conditions if conditions is None else load_conditions(conditions)
-    texts = {"consent": _text(consent), "instructions": _text(instructions)}
+    texts: dict[str, Any] = {"consent": _text(consent), "instructions": _text(instructions)}
     planned = observers or _observers(chosen, effect, power, repeats or chosen.repeats)
     o.check_writable(folder / "study.json")
     o.select(backend)
-    clips = _rendered(folder, scenes, forest, wanted, shown, views or chosen.views)
+    with o.option_names("stimulus"):
+        clips = _rendered(folder, scenes, forest, wanted, shown)
     from dataclasses import replace
 
     from hybrid.study.design import Design, compared
@@ -167,10 +171,9 @@ def design(
     o.write_json(json_file, {"observers": planned, "trials": len(trials), "minutes": made.minutes(0)})
 
 
-def _one_of(option: str, given: str, known: dict[str, Preset] | dict[str, None]):  # noqa: ANN202
+def _one_of(option: str, given: str, known: Iterable[str]) -> None:
     if given not in known:
         raise UserError(f"{option} {given}: must be {', '.join(known)}")
-    return known[given]
 
 
 def _text(file: Path | None) -> str:
@@ -210,7 +213,6 @@ def _rendered(
     forests: list[Path] | None,
     conditions: Conditions,
     shown: Presentation,
-    views: int,
 ) -> dict[str, list[Clip]]:
     """The clips of all scenes, rendered with their forests."""
     from hybrid.preparation.preparation import with_forest
@@ -225,7 +227,7 @@ def _rendered(
         if stimuli.needs_irradiance():
             cache_for(scene, progress_bar)
         with progress_bar(f"clips of {scene.name}") as bar:
-            clips |= stimuli.render(views, bar)
+            clips |= stimuli.render(bar)
     return clips
 
 
@@ -248,6 +250,7 @@ def run(
     ] = None,
     display: o.DisplayName = "desktop",
     seed: o.Seed = 0,
+    json_file: o.Json = None,
 ) -> None:
     """Run a study with one observer, full screen; closed or killed, it resumes with --observer N."""
     from hybrid.study.design import load_design
@@ -266,6 +269,7 @@ def run(
             SimulatedObserver(loaded, jods, one, seed).run(session)
             session.close()
         print(f"{folder}: observers {number} to {number + simulate - 1} were simulated")
+        o.write_json(json_file, {"observers": [*range(number, number + simulate)], "complete": True})
         return
     if not browser:
         from hybrid.window.qt_check import require_window
@@ -292,6 +296,7 @@ def run(
         if stream is not None:
             stream.close()
     print(f"{session.file}: " + ("complete" if session.done else "not complete yet"))
+    o.write_json(json_file, {"observers": [number], "complete": session.done})
 
 
 @study_app.command()
@@ -327,7 +332,10 @@ def analyse(
     level: Annotated[float, typer.Option(help="Level of intervals.", min=0.5, max=0.999)] = 0.95,
     keep_all: Annotated[
         bool,
-        typer.Option("--keep-all", help="Leave no observer out, neither by screening nor for attention."),
+        typer.Option(
+            "--keep-all",
+            help="Leave no observer out, neither by BT.500's screening of votes nor for attention.",
+        ),
     ] = False,
     json_file: o.Json = None,
 ) -> None:
@@ -336,12 +344,14 @@ def analyse(
     from hybrid.study.analysis import analyse as analysed
     from hybrid.study.analysis_page import write_page
     from hybrid.study.design import REFERENCE
-    from hybrid.study.observations import save
+    from hybrid.study.observations import Ratings, save
     from hybrid.study.results import answers
 
     found, dropped = answers(source, _columns(column), scale, keep_all)
     anchor = reference or (REFERENCE if REFERENCE in found.conditions else None)
-    settings = AnalysisSettings(level, margin, anchor, 0.0 if anchor is None else 10.0, screen=not keep_all)
+    # Of choices, those whom others contradict are named and kept: leaving them out has no standard.
+    screens = isinstance(found, Ratings) and not keep_all
+    settings = AnalysisSettings(level, margin, anchor, 0.0 if anchor is None else 10.0, screen=screens)
     result = analysed(found, settings)
     if dropped:
         result["sentences"].insert(1, f"Left out, as they failed to attend: observers {', '.join(dropped)}.")

@@ -43,9 +43,9 @@ class AnalysisSettings:
     reference: str | None = None
     anchor: float = 0.0
     prior: str = "jeffreys"
-    screen: bool = True
+    screen: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0.5 <= self.level < 1:
             raise UserError(f"level {self.level:g}: must be from .5 to below 1")
         if not (self.margin > 0 and math.isfinite(self.margin)):
@@ -60,39 +60,46 @@ def analyse(observations: Ratings | Choices, settings: AnalysisSettings | None =
     """Analyses votes or choices; what is returned can be written as JSON.
 
     Returns:
-        `kind`: "ratings" or "choices"; `settings`; `observers`, `answers`, `left_out`: numbers of all observers,
-        of their answers, and of rows that were no answers; `dropped`: names of observers left out (in `screening`, those that the rule finds, left out or not);
-        `sentences`: what was found, in words; and
+        `kind`: "ratings" or "choices"; `settings`; `observers`, `answers`, `left_out`: numbers of all
+        observers, of their answers, and of rows that were no answers; `dropped`: names of observers left out
+        (in `screening`, those that the rule finds, left out or not); `sentences`: what was found,
+        in words; and
 
-        of ratings: `screening` (see `ratings.screening`), `scores` (see `ratings.opinion_scores`), `votes` (rows of
-        `condition` and `counts`, by vote as a text), `comparison` (see `comparisons.compare`; None where nothing
-        can be compared, for which `not_compared` is the reason, otherwise "");
+        of ratings: `screening` (see `ratings.screening`), `scores` (see `ratings.opinion_scores`), `votes`
+        (rows of `condition` and `counts`, by vote as a text), `comparison` (see `comparisons.compare`; None
+        where nothing can be compared, for which `not_compared` is the reason, otherwise "");
 
         of choices: `screening` (rows of `observer`, `answers`, `agreement`, see `scaling.agreement`, and
-        `dropped`), and `scales`: the mean of all groups first, if they have the same conditions, then each group.
-        A scale has `group` ("" for the mean or a single one), `observers`, `qualities` (rows of `condition`, `jod`,
-        `low`, `high`, best first), and `pairs` (rows of `first`, `second`, `difference`, `low`, `high`, `p`,
-        `p_holm`, `trials`, `first_chosen`, `share`, `binomial_p`, `binomial_p_holm`, `equivalence_p`,
-        `equivalence_p_holm`, `different`, `equivalent`; the better one first). The binomial test is of two sides,
-        and takes trials for independent, which those of one observer are not: `p` does not, and decides.
+        `dropped`), and `scales`: the mean of all groups first, if they have the same conditions, then each
+        group. A scale has `group` ("" for the mean or a single one), `observers`, `qualities` (rows of
+        `condition`, `jod`, `low`, `high`, best first), and `pairs` (rows of `first`, `second`, `difference`,
+        `low`, `high`, `p`, `p_holm`, `trials`, `first_chosen`, `share`, `binomial_p`, `binomial_p_holm`,
+        `equivalence_p`, `equivalence_p_holm`, `different`, `equivalent`; the better one first). The binomial
+        test is of two sides, and takes trials for independent, which those of one observer are not: `p` does
+        not, and decides.
 
     UserError for observations that cannot be analysed, see `scaling.scale`.
     """
     settings = settings or AnalysisSettings()
-    rated = isinstance(observations, Ratings)
-    found = {
-        "kind": "ratings" if rated else "choices",
+    found: Row = {
+        "kind": "ratings" if isinstance(observations, Ratings) else "choices",
         "settings": asdict(settings),
         "observers": len(np.unique(observations.observer)),
         "answers": len(observations.observer),
         "left_out": observations.left_out,
     }
-    found |= _of_ratings(observations, settings) if rated else _of_choices(observations, settings)
+    if isinstance(observations, Ratings):
+        found |= _of_ratings(observations, settings)
+    else:
+        found |= _of_choices(observations, settings)
     found["sentences"] = [*_about_observers(found), *_about_quality(found)]
     return found
 
 
 def _of_ratings(ratings: Ratings, settings: AnalysisSettings) -> Row:
+    if settings.reference not in (None, *ratings.condition):
+        known = ", ".join(np.unique(ratings.condition)[:5])
+        raise UserError(f"votes: no reference {settings.reference!r}; their conditions are: {known}")
     rows = screening(ratings)
     dropped = [row["observer"] for row in rows if row["dropped"]] if settings.screen else []
     kept = without(ratings, dropped)
@@ -209,11 +216,13 @@ def _about_observers(found: Row) -> Iterator[str]:
     if found["left_out"]:
         said += f"; {found['left_out']:,} rows without an answer, or of training, were left out"
     yield f"{said}."
-    if found["dropped"]:
-        yield f"Left out {rule}: {', '.join(found['dropped'])}."
+    suspects = ", ".join(row["observer"] for row in found["screening"] if row["dropped"])
+    if suspects:
+        yield f"{'Left out' if found['dropped'] else 'Suspected, but kept,'} {rule}: {suspects}."
     comparison = found.get("comparison")
     if comparison and comparison["left_out_observers"]:
-        yield f"Not compared, for lack of votes on some condition: {', '.join(comparison['left_out_observers'])}."
+        names = ", ".join(comparison["left_out_observers"])
+        yield f"Not compared, for lack of votes on some condition: {names}."
     if comparison and comparison["left_out_scenes"]:
         yield f"Not compared, for lack of some condition: {', '.join(comparison['left_out_scenes'])}."
 

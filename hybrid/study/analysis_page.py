@@ -34,7 +34,7 @@ _MOST_NAMED = 11
 
 
 def write_page(folder: Path, found: Row) -> None:
-    """Writes index.html, analysis.json, table.csv and table.tex, of what `analysis.analyse` found, each whole.
+    """Writes index.html, analysis.json, table.csv and table.tex of what `analysis.analyse` found.
 
     The tables hold the quality of each condition and the comparison of each pair.
     """
@@ -171,7 +171,7 @@ def screening_table(found: Row) -> Row:
 
 
 def latex_table(table: Row) -> str:
-    """A table in plain LaTeX, with the lines of booktabs drawn by \\hline."""
+    """A table in plain LaTeX, with lines where booktabs has its rules."""
     cells = [" & ".join(map(latex_text, row)) + r" \\" for row in [table["columns"], *table["rows"]]]
     lines = [
         f"% {table['title']}",
@@ -238,7 +238,7 @@ def _differences(rows: list[Row], margin: float, label: str) -> str:
     axes.axvline(0, color="#888", lw=0.8)
     for at, row in enumerate(rows):
         _interval(axes, at, row, row["difference"], OURS_COLOUR if row["different"] else OTHER_COLOUR)
-    names = [f"{_short(row['first'])} − {_short(row['second'])}" for row in rows]  # noqa: RUF001
+    names = [f"{_short(row['first'])} − {_short(row['second'])}" for row in rows]
     axes.set_yticks(range(len(rows)), names)
     axes.set_xlabel(label)
     return svg_of(axes)

@@ -37,6 +37,8 @@ CLIPS = "clips"
 _COARSER = 32
 # Settings that the design itself chooses.
 _CHOSEN = {"gaze", "camera", "time", "display", "aovs"}
+# Bytes of a clip's name; numbers come first, so that a cut one is still unique.
+_LONGEST_NAME = 200
 _METHODS = REFERENCE, "hybrid", "full"
 Conditions = dict[str, dict[str, Any]]
 
@@ -99,6 +101,7 @@ class Presentation:
         kind: still, trace (the gaze follows one), walk (between views) or play (a moving scene).
         seconds, fps: of videos.
         frame: size in pixels and display are those of this, and the gaze is, unless it follows a trace.
+        views: unseen ones of each scene.
         spp: samples per pixel of references.
         seed: of the first frame.
     """
@@ -109,6 +112,7 @@ class Presentation:
     size: tuple[int, int]
     frame: FrameSettings
     trace: GazeTrace | None = None
+    views: int = 1
     spp: int = 256
     seed: int = 0
 
@@ -190,7 +194,8 @@ class Stimuli:
             "conditions": conditions,
             "frame": shown.frame.as_json(),
             "trace": None if shown.trace is None else shown.trace.digest(),
-            "shown": [shown.kind, shown.seconds, shown.fps, list(shown.size), shown.spp, shown.seed],
+            "shown": [shown.kind, shown.seconds, shown.fps, shown.views, shown.spp, shown.seed],
+            "size": list(shown.size),
         }
         self._identity = measured_identity(scene, forest, **settings)
 
@@ -200,13 +205,16 @@ class Stimuli:
         frames = (_settings_of(self._presentation.frame, one) for one in hybrid)
         return any(one.used_integrator is Integrator.CACHED and one.fov_a > 0 for one in frames)
 
-    def render(self, views: int, bar: Bar) -> dict[str, list[Clip]]:
-        """The clips of so many views, by what they show, such as "room view 1"; the anchor is the last."""
+    def render(self, bar: Bar) -> dict[str, list[Clip]]:
+        """The clips, the anchor last, by what they show, such as "room view 1"."""
         scene, shown = self._renderer.scene, self._presentation
-        self._check()
         loop = None if scene.moving is None else scene.moving.motion.seconds
-        around = unseen_views(scene, max(2, views), *shown.size)
-        frames = [shown.shown(around, number, loop) for number in range(views)]
+        if shown.kind == "play" and loop is None:
+            raise UserError(f"stimulus play: scene {scene.name} does not move")
+        self._check()
+        # A walk needs another view to go to.
+        around = unseen_views(scene, max(2, shown.views), *shown.size)
+        frames = [shown.shown(around, number, loop) for number in range(shown.views)]
         self._total, self._done = len(self._conditions) * sum(map(len, frames)), 0
         bar(0, self._total)
         found = {}
@@ -253,9 +261,11 @@ class Stimuli:
         return Clip(self._name(view, condition), condition, len(gazes), float(self._presentation.fps), marker)
 
     def _name(self, view: int, condition: str) -> str:
-        """The name of a clip's folder, which is a part of addresses as well."""
-        name = f"v{view + 1}-{self._renderer.scene.name}-{condition}"
-        return "".join(c if c.isalnum() and c.isascii() else "-" for c in name)
+        """The name of a clip's folder, which is a part of addresses as well; unique whatever others are."""
+        scene = self._renderer.scene
+        number = [*self._conditions, ANCHOR].index(condition)
+        name = f"{scene.hash[:6]}-v{view + 1}-{number}-{scene.name}-{condition}"
+        return "".join(c if c.isalnum() and c.isascii() else "-" for c in name)[:_LONGEST_NAME]
 
     def _images(self, settings: dict[str, Any], frames: list[tuple[View, Gaze]]) -> Iterator[Image]:
         """The frames of a condition, (H, W, 3) linear radiance each."""

@@ -1,4 +1,4 @@
-"""Which conditions differ, and which are equivalent, by the votes that the same observers gave to all of them."""
+"""Which conditions differ, and which are equivalent, by votes of the same observers on all of them."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ def compare(means: Means, level: float = 0.95, margin: float = 0.25) -> dict[str
     """Compares all pairs of conditions within observers, as Fov-GS did (Fan et al., section 5).
 
     If the differences of all pairs pass Shapiro-Wilk's test, conditions are compared by a repeated-measures
-    ANOVA with Greenhouse and Geisser's correction, and pairs by paired t-tests, else by Friedman's and Wilcoxon's
-    signed-rank tests. The p-values of pairs are adjusted by Holm's method. Pairs are equivalent within a margin if
-    two one-sided tests say so (Schuirmann 1987), by the same kind of test, adjusted likewise. That no difference
-    was found does not mean that there is none.
+    ANOVA with Greenhouse and Geisser's correction, and pairs by paired t-tests, else by Friedman's and
+    Wilcoxon's signed-rank tests. The p-values of pairs are adjusted by Holm's method. Pairs are equivalent
+    within a margin if two one-sided tests say so (Schuirmann 1987), by the same kind of test, adjusted
+    likewise. That no difference was found does not mean that there is none.
 
     Args:
         means: of the observers.
@@ -92,12 +92,13 @@ def compare(means: Means, level: float = 0.95, margin: float = 0.25) -> dict[str
         margin: greatest difference, in steps of the scale, that counts as none.
 
     Returns:
-        `observers` and `left_out_observers`, `left_out_scenes`: names; `normal`: bool; `omnibus`: see `omnibus`;
-        `pairs`: rows of `first`, `second`, `difference`, `low`, `high` (Student's t), `normality_p`, `test`,
-        `statistic`, `p`, `p_holm`, `d_z` (of the paired differences: mean over standard deviation), `d` (mean
-        difference over sqrt of the mean of both variances), `effect` (d's size in words), `power` (achieved, of a
-        paired t-test with this d_z), `detectable` (difference found with a power of 80 %), `equivalence_p`,
-        `equivalence_p_holm`, `different` and `equivalent`. What has no value, as of differences all alike, is None.
+        `observers` and `left_out_observers`, `left_out_scenes`: names; `normal`: bool; `omnibus`: see
+        `omnibus`; `pairs`: rows of `first`, `second`, `difference`, `low`, `high` (Student's t),
+        `normality_p`, `test`, `statistic`, `p`, `p_holm`, `d_z` (of the paired differences: mean over
+        standard deviation), `d` (mean difference over sqrt of the mean of both variances), `effect` (d's size
+        in words), `power` (achieved, of a paired t-test with this d_z), `detectable` (difference found with a
+        power of 80 %), `equivalence_p`, `equivalence_p_holm`, `different` and `equivalent`. What has no
+        value, as of differences all alike, is None.
     """
     alpha = 1 - level
     pairs = list(combinations(range(len(means.conditions)), 2))
@@ -157,8 +158,8 @@ def omnibus(values: Floats, normal: bool) -> dict[str, Any] | None:
 def greenhouse_geisser(values: Floats) -> float:
     """Epsilon of the values (observers, conditions), from 1 / (conditions - 1) to 1 where they are spherical.
 
-    Greenhouse and Geisser 1959, "On methods in the analysis of profile data": of the doubly centred covariance
-    S, trace(S)^2 / ((conditions - 1) trace(S S)). statsmodels' AnovaRM does not have it.
+    Greenhouse and Geisser 1959, "On methods in the analysis of profile data": of the doubly centred
+    covariance S, trace(S)^2 / ((conditions - 1) trace(S S)). statsmodels' AnovaRM does not have it.
     """
     size = values.shape[1]
     centring = np.eye(size) - 1 / size

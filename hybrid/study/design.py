@@ -257,7 +257,7 @@ class Design:
         labels = {StudyMethod.DSIS: ("Reference", ""), StudyMethod.PAIRS: ("1", "2")}.get(self.method, ("",))
         if trial.benchmark is not None:
             clips, labels = [self.clip(trial.benchmark), *clips], ("Benchmark", *labels)
-        shown = []
+        shown: list[dict[str, Any]] = []
         for clip, label in zip(clips, labels, strict=True):
             if shown:
                 shown.append(_phase("blank", timing.gap))
@@ -280,9 +280,7 @@ class Design:
         write_whole(folder / FILE, lambda part: part.write_text(json_text(found), encoding="utf-8"))
 
 
-def compared(
-    method: StudyMethod, shown: dict[str, list[Clip]], attention: int
-) -> dict[str, tuple[Comparison, ...] | dict[str, str]]:
+def compared(method: StudyMethod, shown: dict[str, list[Clip]], attention: int) -> dict[str, Any]:
     """What a design compares, from the clips of each scene, of which one is the reference, one the anchor.
 
     DSIS compares each condition with the reference, pairs all with all. An anchor and the first
@@ -359,10 +357,11 @@ def _design(found: dict[str, Any]) -> Design:
             for one in found.get(name, ())
         )
 
-    clips = tuple(
-        Clip(**{**one, "marker": tuple(map(tuple, one["marker"]))} if "marker" in one else one)
-        for one in found["clips"]
-    )
+    def clip(one: dict[str, Any]) -> Clip:
+        places = tuple((float(x), float(y)) for x, y in one.get("marker", [(0.5, 0.5)]))
+        return Clip(**{**one, "marker": places})
+
+    clips = tuple(map(clip, found["clips"]))
     plain = {one.name: found[one.name] for one in fields(Design) if one.name in found}
     lists = {name: tuple(found[name]) for name in ("size", "background", "fields") if name in found}
     made = {name: compared(name) for name in ("comparisons", "training", "attention")}
@@ -404,7 +403,7 @@ def _schema() -> Any:
         {
             "format": {"const": _FORMAT},
             "version": {"const": _VERSION},
-            "name": name,
+            "name": {"type": "string", "maxLength": 300},
             "method": {"enum": [one.value for one in StudyMethod]},
             "timing": entry({}, **timing),
             "clips": items(clip, 1),

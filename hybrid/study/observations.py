@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below, write_whole
 
-RATING_COLUMNS = ("observer", "scene", "condition", "vote")
-CHOICE_COLUMNS = ("observer", "scene", "first", "second", "chosen")
+RATING_COLUMNS: tuple[str, ...] = ("observer", "scene", "condition", "vote")
+CHOICE_COLUMNS: tuple[str, ...] = ("observer", "scene", "first", "second", "chosen")
 # May be missing from a file.
 _OPTIONAL = ("scene",)
 # Rows of any other kind, such as training, are not votes.
@@ -62,6 +62,9 @@ class Choices:
         return {*self.first.tolist(), *self.second.tolist()}
 
 
+_Observations = TypeVar("_Observations", bound=Ratings | Choices)
+
+
 @dataclass
 class _Table:
     """Cells of the wanted columns, by their canonical names, and what was left out."""
@@ -77,8 +80,8 @@ def load_ratings(
     """Votes from a CSV file, or from all CSV files of a folder, with observer, scene, condition and vote.
 
     `columns` says which columns of the file are meant by these names, as {"scene": "clip+luminance"}: names
-    of several are joined by " / ". A file need not have scenes. Rows with an empty vote, and rows whose column
-    `kind`, if there is one, is not `vote`, are left out and counted.
+    of several are joined by " / ". A file need not have scenes. Rows with an empty vote, and rows whose
+    column `kind`, if there is one, is not `vote`, are left out and counted.
 
     UserError, of one line, for a file that cannot be read, lacks a column, or holds a name that is empty, not
     printable or longer than 200 characters, a vote outside the `scale`, or no votes at all.
@@ -93,7 +96,8 @@ def load_choices(path: Path, columns: Mapping[str, str] | None = None) -> Choice
     """Choices from a CSV file, or from all CSV files of a folder: observer, scene, first, second and chosen.
 
     `chosen` is 1 or 2, or the very name of the first or the second condition; `scene` becomes the group.
-    `columns`, what is left out, and errors are as for `load_ratings`; a condition cannot be compared with itself.
+    `columns`, what is left out, and errors are as for `load_ratings`; a condition cannot be compared with
+    itself.
     """
     table = _load(path, CHOICE_COLUMNS, "chosen", columns)
     rows = zip(*(table.cells[name] for name in ("first", "second", "chosen")), table.places, strict=True)
@@ -104,27 +108,19 @@ def load_choices(path: Path, columns: Mapping[str, str] | None = None) -> Choice
 
 def save(path: Path, observations: Ratings | Choices) -> None:
     """Writes a CSV file that `load_ratings` or `load_choices` reads; it appears whole or not at all."""
-    found: Sequence[Sequence[object]]
     if isinstance(observations, Ratings):
-        votes = [f"{vote:.17g}" for vote in observations.vote]
-        head, found = (
-            RATING_COLUMNS,
-            (observations.observer, observations.scene, observations.condition, votes),
-        )
+        head, answers = RATING_COLUMNS, np.array([f"{vote:.17g}" for vote in observations.vote])
+        names = [observations.observer, observations.scene, observations.condition]
     else:
-        chosen = np.where(observations.chosen_first, 1, 2)
-        names = (observations.observer, observations.group, observations.first, observations.second)
-        head, found = CHOICE_COLUMNS, (*names, chosen)
-    write_table(path, [head, *zip(*found, strict=True)])
+        head, answers = CHOICE_COLUMNS, np.where(observations.chosen_first, "1", "2")
+        names = [observations.observer, observations.group, observations.first, observations.second]
+    write_table(path, [head, *zip(*names, answers, strict=True)])
 
 
-Observations = TypeVar("Observations", Ratings, Choices)
-
-
-def without(observations: Observations, dropped: Sequence[str]) -> Observations:
-    """What all other observers answered."""
+def without(observations: _Observations, dropped: Sequence[str]) -> _Observations:
+    """The answers of all other observers."""
     kept = ~np.isin(observations.observer, dropped)
-    parts = {name: part[kept] for name, part in vars(observations).items() if isinstance(part, np.ndarray)}
+    parts = {name: part[kept] for name, part in vars(observations).items() if name != "left_out"}
     return replace(observations, **parts)
 
 

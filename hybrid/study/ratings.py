@@ -10,7 +10,8 @@ from scipy import stats
 
 from hybrid.study.observations import Names, Ratings
 
-# Rec. ITU-R BT.500-13, annex 2, 2.3.1: kurtosis of votes that count as normal, and how far votes of others may lie.
+# Rec. ITU-R BT.500-13, annex 2, 2.3.1: kurtosis of votes that count as normal, and how far votes of others
+# may lie.
 _NORMAL_KURTOSIS = (2.0, 4.0)
 _NORMAL_SPREADS, _OTHER_SPREADS = 2.0, np.sqrt(20.0)
 # An observer is dropped with more far votes than this, if they lie on both sides alike.
@@ -20,10 +21,10 @@ _MOST_FAR, _LEAST_BIAS = 0.05, 0.3
 def screening(ratings: Ratings) -> list[dict[str, Any]]:
     """Observer screening of Rec. ITU-R BT.500-13 (annex 2, 2.3.1): one row an observer, in order.
 
-    A vote is far if it is at least 2 standard deviations from the mean of all votes for the same condition of the
-    same scene, or sqrt(20), unless the kurtosis of these votes lies between 2 and 4. P and Q count an observer's
-    far votes above and below. Dropped is who has (P + Q) / votes > 5 % and |P - Q| / (P + Q) < 30 %: whose
-    votes are wild, rather than biased to one side.
+    A vote is far if it is at least 2 standard deviations from the mean of all votes for the same condition of
+    the same scene, or sqrt(20), unless the kurtosis of these votes lies between 2 and 4. P and Q count an
+    observer's far votes above and below. Dropped is who has (P + Q) / votes > 5 % and
+    |P - Q| / (P + Q) < 30 %: whose votes are wild, rather than biased to one side.
 
     Returns:
         Rows of `observer`, `votes`, `above` (P), `below` (Q), `mean`, `sd` (None of one vote), and `dropped`.
@@ -61,16 +62,16 @@ def _far(ratings: Ratings) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def opinion_scores(ratings: Ratings, level: float = 0.95) -> list[dict[str, Any]]:
-    """Mean opinion scores of all votes, of each condition, and of each condition of each scene, in this order.
+    """Mean opinion scores of all votes, of each condition, and of each condition of each scene.
 
     The interval to report is that over observers: votes of one observer are not independent, so that counting
-    them as such, as the formula of BT.500 does (mean -+ 1.96 sd / sqrt(votes), annex 2, 2.2), makes the interval
-    narrower by every repetition. Both are given.
+    them as such, as the formula of BT.500 does (mean -+ 1.96 sd / sqrt(votes), annex 2, 2.2), makes the
+    interval narrower by every repetition. Both are given.
 
     Returns:
-        Rows of `scene` and `condition` ("" for all), `observers`, `votes`, `mean` (of the observers' means), `low`
-        and `high` of its interval with Student's t; `votes_mean`, `votes_sd`, `votes_low` and `votes_high` by
-        BT.500. What one observer or one vote does not give is None.
+        Rows of `scene` and `condition` ("" for all), `observers`, `votes`, `mean` (of the observers' means),
+        `low` and `high` of its interval with Student's t; `votes_mean`, `votes_sd`, `votes_low` and
+        `votes_high` by BT.500. What one observer or one vote does not give is None.
     """
     keys = [("", ""), *(("", str(name)) for name in np.unique(ratings.condition))]
     pairs = np.unique(np.stack([ratings.scene, ratings.condition]), axis=1).T

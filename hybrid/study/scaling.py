@@ -1,17 +1,19 @@
 """Quality in just-objectionable differences (JOD) from choices between two: Thurstone's case V.
 
-A condition of quality q is preferred over one of quality r with the probability Phi((q - r) / 1.4826), so that
-a difference of 1 JOD is preferred in 75 % of the trials (Perez-Ortiz and Mantiuk 2017, "A practical guide and
-software for analysing pairwise comparison experiments", arXiv 1712.03686, section 3). Qualities maximize the
-likelihood of all choices times Jeffreys' prior (Firth 1993, "Bias reduction of maximum likelihood estimates"),
-which takes away the first order of the bias of few trials, and keeps unanimous choices finite.
+A condition of quality q is preferred over one of quality r with the probability Phi((q - r) / 1.4826), so
+that a difference of 1 JOD is preferred in 75 % of the trials (Perez-Ortiz and Mantiuk 2017, "A practical
+guide and software for analysing pairwise comparison experiments", arXiv 1712.03686, section 3). Qualities
+maximize the likelihood of all choices times Jeffreys' prior (Firth 1993, "Bias reduction of maximum
+likelihood estimates"), which takes away the first order of the bias of few trials, and keeps unanimous
+choices finite.
 
 Intervals are of two kinds, of which the wider one counts. One leaves out one observer after the other (the
-jackknife), so that the trials of an observer need not be independent, and takes the quantiles of Student's t with
-one degree of freedom less than there are observers, as is done for few clusters (Bell and McCaffrey 2002, "Bias
-reduction in standard errors for linear regression with multi-stage samples"). Where nearly all choose alike, the
-few who do not make it too narrow; the other one, from the expected information, is right for independent
-trials. Percentiles of bootstraps over a dozen observers contain the truth in 86 to 92 instead of 95 %.
+jackknife), so that the trials of an observer need not be independent, and takes the quantiles of Student's t
+with one degree of freedom less than there are observers, as is done for few clusters (Bell and McCaffrey
+2002, "Bias reduction in standard errors for linear regression with multi-stage samples"). Where nearly all
+choose alike, the few who do not make it too narrow; the other one, from the expected information, is right
+for independent trials. Percentiles of bootstraps over a dozen observers contain the truth in 86 to 92 instead
+of 95 %.
 """
 
 from __future__ import annotations
@@ -97,8 +99,12 @@ class Scale:
 
     def _errors(self, contrast: Floats) -> tuple[float, float]:
         """Standard errors of a weighted sum of the qualities, over observers and over trials."""
-        over, independent = (contrast @ c @ contrast for c in (self.over_observers, self.independent))
-        return float(np.sqrt(over)), float(np.sqrt(max(independent, 0)))
+        # Of the reference's own quality, rounding may make a negative variance.
+        over, independent = (
+            max(float(contrast @ covariance @ contrast), 0.0)
+            for covariance in (self.over_observers, self.independent)
+        )
+        return over**0.5, independent**0.5
 
     def _half(self, contrast: Floats, level: float) -> float:
         """Half the width of a weighted sum's interval."""
@@ -118,7 +124,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Counts:
-    """Choices of a group, counted: `pairs` (P, 2) of condition indices, `wins` and `losses` (O, P) of the first."""
+    """Counted choices of a group: `pairs` (P, 2) of conditions; `wins`, `losses` (O, P) of the first."""
 
     conditions: tuple[str, ...]
     observers: tuple[str, ...]
@@ -128,7 +134,7 @@ class Counts:
 
 
 def count(choices: Choices, group: str) -> Counts:
-    """Counts the choices of one group; UserError if its conditions do not all hang together, or are too many."""
+    """Counts the choices of one group; UserError if conditions are too many, or not linked by choices."""
     here = choices.group == group
     # Names in order, and their indices in the rows.
     conditions, both = np.unique(np.stack([choices.first[here], choices.second[here]]), return_inverse=True)
@@ -177,7 +183,8 @@ def scale(
         choices: by at least two observers in each group.
         reference: condition that has the quality `anchor`; otherwise the mean of a group's conditions has it.
         anchor: JOD, as 10 for a scale of quality, or 0 for one of just noticeable differences (JND).
-        prior: "jeffreys", or "none": a group in which one condition always wins is then far away, not well placed.
+        prior: "jeffreys", or "none": a group in which one condition always wins is then far away, not well
+            placed.
 
     UserError for a group with one observer, without the reference, of conditions that were never compared
     with one another even through others, or of more than 64 conditions.
@@ -195,10 +202,10 @@ def _scaled(counts: Counts, group: str, reference: str | None, anchor: float, pr
     if reference is not None and reference not in counts.conditions:
         known = ", ".join(counts.conditions[:5])
         raise UserError(f"{_named(group)}: has no reference {reference!r}; its conditions are: {known}")
-    all_and_without = [np.vstack([n.sum(0), n.sum(0) - n]) for n in (counts.wins, counts.losses)]
-    found = most_likely(counts.pairs, *all_and_without, len(counts.conditions), prior)
+    wins, losses = (np.vstack([n.sum(0), n.sum(0) - n]) for n in (counts.wins, counts.losses))
+    found = most_likely(counts.pairs, wins, losses, len(counts.conditions), prior)
     at = slice(None) if reference is None else [counts.conditions.index(reference)]
-    information = posterior(found[:1], counts.pairs, *(n[:1] for n in all_and_without), prior)[2][0]
+    information = posterior(found[:1], counts.pairs, wins[:1], losses[:1], prior)[2][0]
     anchored = np.eye(len(found[0]))
     anchored[:, at] -= 1 / len(anchored[0, at])
     independent = anchored @ np.linalg.inv(information) @ anchored.T
@@ -233,8 +240,8 @@ def posterior(
 ) -> tuple[Floats, Floats, Floats]:
     """Log posterior density (B,), its gradient (B, C), and the expected information (B, C, C).
 
-    The density is of the qualities up to a common offset; the information has a 1 added to its eigenvalue of that
-    offset, so that it can be inverted.
+    The density is of the qualities up to a common offset; the information has a 1 added to its eigenvalue of
+    that offset, so that it can be inverted.
     """
     size = quality.shape[1]
     design = np.zeros((len(pairs), size))
@@ -252,7 +259,8 @@ def posterior(
     density = (wins * won + losses * lost).sum(1) - 0.5 * _RIDGE * ((quality @ centred) ** 2).sum(1)
     slope = wins * up - losses * down
     if prior == "jeffreys":
-        # Half the logarithm of the determinant; its derivative is by the leverages of the pairs (Firth 1993, 4.1).
+        # Half the logarithm of the determinant; its derivative is by the leverages of the pairs (Firth 1993,
+        # 4.1).
         density += 0.5 * np.linalg.slogdet(information)[1]
         inverse = np.linalg.inv(information).reshape(len(quality), -1)
         slope += 0.5 * weight * (inverse @ products.T) * (down - up - 2 * z)
@@ -282,8 +290,9 @@ def preference(jod: float) -> float:
 def agreement(choices: Choices, scales: Sequence[Scale]) -> dict[str, float]:
     """Mean log-likelihood of a choice of each observer, by the qualities that all others found.
 
-    As in the analysis of outliers of Perez-Ortiz and Mantiuk (2017, section 5), but per choice, so that observers
-    who made different numbers of them can be compared. The logarithm of one half, -.69, is mere guessing.
+    As in the analysis of outliers of Perez-Ortiz and Mantiuk (2017, section 5), but per choice, so that
+    observers who made different numbers of them can be compared. The logarithm of one half, -.69, is mere
+    guessing.
     """
     sums: dict[str, float] = {}
     numbers: dict[str, float] = {}

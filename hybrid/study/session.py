@@ -324,9 +324,9 @@ def _off_the_cross(
     start, off = 0.0, []
     for phase, took in zip(asked, shown, strict=True):
         end = start + took["shown_ms"]
-        markers = phase["marker"] if phase["kind"] == "clip" else None
-        for ms, x, y in gaze if markers else ():
-            if start <= ms < end:
+        markers = (phase["marker"] if phase["kind"] == "clip" else None) or []
+        for ms, x, y in gaze:
+            if markers and start <= ms < end:
                 at = markers[min(int((ms - start) / 1000 * phase["fps"]), len(markers) - 1)]
                 pixels = math.hypot((x - at[0]) * design.size[0], (y - at[1]) * design.size[1])
                 off.append(pixels / design.pixels_per_degree > design.tolerance)

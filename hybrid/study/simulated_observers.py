@@ -14,15 +14,15 @@ from compose.base.errors import require_seed
 from hybrid.study.observations import Choices, Ratings
 from hybrid.study.scaling import SIGMA
 
-# Share of the trials in which an observer presses any button; steps of a scale per JOD; standard deviations, in
-# steps, of observers' biases and opinions, and from vote to vote. All are made up; with them, a single vote has a
-# standard deviation of some .8, as in FPC's study (.88).
+# Share of the trials in which an observer presses any button; steps of a scale per JOD; standard deviations,
+# in steps, of observers' biases and opinions, and from vote to vote. All are made up; with them, a single
+# vote has a standard deviation of some .8, as in FPC's study (.88).
 _LAPSE, _SLOPE, _SPREAD, _NOISE = 0.02, 0.6, 0.4, 0.6
 # Qualities in JOD by condition, by scene.
 Qualities = Mapping[str, Mapping[str, float]]
 
 
-def preference(jod: Any, lapse: float = _LAPSE) -> Any:
+def chosen_share(jod: Any, lapse: float = _LAPSE) -> Any:
     """Probability that what is better by some JOD is chosen, by Thurstone's case V, with lapses."""
     return lapse / 2 + (1 - lapse) * ndtr(jod / SIGMA)
 
@@ -58,7 +58,7 @@ def simulated_choices(
         repetitions: trials of each pair.
         seed: of the random numbers.
         lapse: share of the trials in which an observer presses any button.
-        spread: standard deviation in JOD of the observers' own qualities of a condition; all observers together
+        spread: standard deviation in JOD of observers' own qualities of a condition; all observers together
             still prefer as the given qualities say.
     """
     random = np.random.default_rng(require_seed(seed))
@@ -67,7 +67,7 @@ def simulated_choices(
         own = _own(random, qualities, observers, spread)
         names = list(qualities)
         for first, second in combinations(range(len(names)), 2):
-            prefers = preference(own[:, first] - own[:, second], lapse)
+            prefers = chosen_share(own[:, first] - own[:, second], lapse)
             # Each is shown first as often as the other, up to one.
             swapped = (np.arange(repetitions) + random.integers(2, size=(observers, 1))) % 2 == 1
             better = random.random((observers, repetitions)) < prefers[:, None]
@@ -98,7 +98,7 @@ def simulated_ratings(
         repetitions: votes for each condition and scene.
         seed: of the random numbers.
         slope: steps of the scale per JOD.
-        spread: standard deviation of the observers' biases, and of their own opinion of a condition, in steps.
+        spread: standard deviation of observers' biases, and of their own opinion of a condition, in steps.
         noise: standard deviation from vote to vote, in steps.
     """
     random = np.random.default_rng(require_seed(seed))

@@ -5,6 +5,7 @@ They try a design, its files and its analysis before anyone comes, and tell how 
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from hybrid.measure.perceptual_metrics import INSTALL, jod_of_video
 from hybrid.study.clips import CLIPS
 from hybrid.study.design import Clip, Design, StudyMethod
 from hybrid.study.session import StudySession
-from hybrid.study.simulated_observers import noise, opinions, preference, rounded_vote
+from hybrid.study.simulated_observers import chosen_share, noise, opinions, rounded_vote
 
 _FILE = "jod.json"
 # Frames of a video that are judged, from its middle: the metric keeps all of them in memory.
@@ -36,7 +37,8 @@ def clip_qualities(folder: Path, design: Design, display: Display, progress: Ste
     Qualities that the folder has are not measured again. UserError if FovVideoVDP is not installed, it
     cannot judge the clips, or one is missing.
     """
-    file, truths = folder / CLIPS / _FILE, {}
+    file = folder / CLIPS / _FILE
+    truths: dict[str, str] = {}
     for one in (*design.comparisons, *design.attention, *design.training):
         truth = design.benchmarks.get(one.scene) or truths.get(one.clips[0]) or one.clips[0]
         truths |= {name: truths.get(name, truth) for name in one.clips}
@@ -48,8 +50,7 @@ def clip_qualities(folder: Path, design: Design, display: Display, progress: Ste
     for number, name in enumerate(wanted):
         progress(number, len(wanted))
         found[name] = _quality(folder, design.clip(name), design.clip(truths[name]), display)
-        text = json_text(found)
-        write_whole(file, lambda part, text=text: part.write_text(text, encoding="utf-8"))
+        write_whole(file, partial(Path.write_text, data=json_text(found), encoding="utf-8"))
     progress(len(wanted), len(wanted))
     return found
 
@@ -116,6 +117,6 @@ class SimulatedObserver:
     def _answer(self, clips: list[str]) -> int:
         if self._design.method is StudyMethod.PAIRS:
             first, second = (self._jods[name] for name in clips[-2:])
-            return 1 if self._random.random() < preference(first - second) else 2
+            return 1 if self._random.random() < chosen_share(first - second) else 2
         clip = self._design.clip(clips[-1])
         return int(rounded_vote(self._jods[clip.name], self._own[clip.condition] + noise(self._random)))

@@ -21,6 +21,9 @@ from compose.eye.gaze import load_gaze_trace
 from compose.image.exr import write_channels
 from hybrid.base.journal import Journal
 from hybrid.render.image_files import read_exr
+from hybrid.study.design import load_design
+from hybrid.study.observations import load_choices, load_ratings
+from hybrid.study.session import StudySession, observer_file
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.colmap_model import ModelPoints, read_model, write_model
 from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
@@ -40,6 +43,7 @@ from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.model.trees import build_forest
 from tests import posed, small
+from tests.hybrid.study.studies import design, finish
 from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, bending_tube
 from tests.splat.samples import camera, gaussians
 
@@ -177,8 +181,26 @@ _PATH = json.dumps(
     }
 )
 _TRACE = "seconds,x,y\n0.0000,0.460000,0.600000\n0.2500,0.520000,0.410000\n"
+_VOTES = "observer,scene,condition,vote\nA,room,ours,5\nA,room,other,3\nB,room,ours,4\n"
+_CHOICES = "observer,scene,first,second,chosen\nA,room,ours,other,1\nB,room,other,ours,other\n"
 _TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor([True]), "c": torch.zeros(3, 0)}
 _DISPLAY = '{"width": 2560, "height": 1440, "fov": 60, "luminance": 120.5}'
+
+
+def _answers(path: Path) -> None:
+    finish(StudySession(path.parent, design(), 1))
+    shutil.copy(observer_file(path.parent, 1), path)
+
+
+def _resume(path: Path) -> None:
+    """Reads it where the session looks for it."""
+    found = observer_file(path.parent, 1)
+    found.parent.mkdir(exist_ok=True)
+    found.unlink(missing_ok=True)
+    # Not a copy: it may be a terabyte.
+    found.hardlink_to(path)
+    StudySession(path.parent, design(), 1).close()
+
 
 READERS = {
     "forest": Reader("a.forest", lambda p: save_forest(p, _made()), load_forest),
@@ -201,6 +223,12 @@ READERS = {
     ),
     "display": Reader("display.json", lambda p: p.write_text(_DISPLAY), lambda p: display_named(str(p))),
     "gaze trace": Reader("gaze.csv", lambda p: p.write_text(_TRACE), load_gaze_trace),
+    "votes": Reader("votes.csv", lambda p: p.write_text(_VOTES), load_ratings),
+    "choices": Reader("choices.csv", lambda p: p.write_text(_CHOICES), load_choices),
+    "design of a study": Reader(
+        "study.json", lambda p: design().save(p.parent), lambda p: load_design(p.parent)
+    ),
+    "answers of an observer": Reader("observer-001.csv", _answers, _resume),
     "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
     "glTF": Reader("a.gltf", _gltf, _import),
     "GLB": Reader("a.glb", _gltf, _import),

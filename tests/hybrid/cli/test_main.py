@@ -25,6 +25,8 @@ from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
+from hybrid.cli.study import analyse, design, study_app
+from hybrid.cli.study import run as run_study
 from hybrid.cli.sweep import sweep
 from hybrid.cli.train import train
 from tests.hybrid.command import run
@@ -55,22 +57,31 @@ BENCHES = {
 }
 
 
+STUDY = {"design": design, "run": run_study, "analyse": analyse}
+
+
 def commands_of(application: typer.Typer) -> dict:
     return dict(typer.main.get_command(application).commands)
 
 
-@pytest.mark.parametrize(("application", "expected"), [(app, COMMANDS), (bench_app, BENCHES)])
+@pytest.mark.parametrize(
+    ("application", "expected"), [(app, COMMANDS), (bench_app, BENCHES), (study_app, STUDY)]
+)
 def test_each_command_calls_its_function(application, expected):
     found = commands_of(application)
-    found.pop("bench", None)
+    for group in ("bench", "study"):
+        found.pop(group, None)
     assert {name: command.callback.__wrapped__ for name, command in found.items()} == expected
 
 
-def test_benches_are_commands_of_bench():
+def test_groups_have_their_commands():
     assert {*commands_of(app)["bench"].commands} == {*BENCHES}
+    assert {*commands_of(app)["study"].commands} == {*STUDY}
 
 
-@pytest.mark.parametrize("name", [*COMMANDS, *(f"bench {name}" for name in BENCHES)])
+@pytest.mark.parametrize(
+    "name", [*COMMANDS, *(f"bench {name}" for name in BENCHES), *(f"study {name}" for name in STUDY)]
+)
 def test_every_command_and_option_has_help(name):
     command = typer.main.get_command(app)
     for word in name.split():
@@ -84,7 +95,7 @@ def test_every_command_and_option_has_help(name):
 
 def test_json_is_checked_before_the_work_by_every_command_but_export_and_import():
     commands = commands_of(app)
-    commands |= commands.pop("bench").commands
+    commands |= commands.pop("bench").commands | commands.pop("study").commands
     checks = {
         name: parameter.callback
         for name, command in commands.items()

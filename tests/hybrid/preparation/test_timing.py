@@ -72,6 +72,22 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits(before, lon
     assert next_stage(before, Needs(), AS_EXPECTED, left + following) == stage
 
 
+@pytest.mark.parametrize("dear", [1.0, 2.0, 4.0])
+def test_samples_of_a_stretched_stage_take_no_longer_than_its_training(dear):
+    """Where paths are dear, there are fewer of them; never fewer than the stage has without stretching."""
+    pace, stage = Seconds(dear, 1.0), planned_stage(0, Needs(detail=2.0))
+    left = 1.5 * expected_seconds(stage, []).at(pace)
+    stretched = next_stage([], Needs(detail=2.0), pace, left)
+    assert stretched is not None
+    assert stretched.steps > stage.steps
+    expected = expected_seconds(stretched, [])
+    if stretched.spp > stage.spp:
+        assert expected.frames * pace.frames <= expected.training * pace.training
+    else:
+        assert stretched.spp == stage.spp
+    assert 0.9 * left < expected.at(pace) <= left
+
+
 def test_where_no_further_stage_fits_the_last_one_goes_on():
     (last,) = BEFORE
     goes_on = next_stage(BEFORE, Needs(), AS_EXPECTED, 0.25 * SECONDS)

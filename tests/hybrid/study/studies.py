@@ -61,9 +61,10 @@ def up_to_trials(session: StudySession) -> StudySession:
 
 
 def finish(session: StudySession, answer: int = 1) -> list[dict[str, Any]]:
-    """Answers all trials; returns what was shown."""
+    """Answers all trials, and closes the session; returns what was shown."""
     shown = []
     while not up_to_trials(session).done:
         shown.append(session.step)
         session.answer(reply(session, answer))
+    session.close()
     return shown

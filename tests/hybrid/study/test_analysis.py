@@ -84,6 +84,7 @@ def test_screening_can_be_left_to_the_reader():
     assert mild["dropped"] == []
     assert strict["scales"][0]["observers"] == mild["scales"][0]["observers"] - 1
     assert [row["observer"] for row in mild["screening"] if row["dropped"]] == ["O07"]
+    assert "Suspected, but kept, because their choices disagree with all others': O07." in mild["sentences"]
 
 
 def test_groups_of_other_conditions_are_told_one_by_one():
@@ -108,6 +109,12 @@ def test_what_was_not_compared_is_said():
     assert found["sentences"][-1].startswith("Conditions were not compared: condition 'x': is the only one")
 
 
+def test_an_unknown_reference_is_refused():
+    found = simulated_ratings({"s": {"a": 9.0, "b": 8.0}}, 4)
+    with pytest.raises(UserError, match="votes: no reference 'c'; their conditions are: a, b"):
+        analyse(found, AnalysisSettings(reference="c"))
+
+
 def test_a_missing_difference_is_never_equality():
     row = {"first": "X", "second": "Y", "difference": 0.1, "low": -0.3, "high": 0.5, "p_holm": 0.4}
     said = sentence(row | {"different": False, "equivalent": False}, "is preferred over", "JOD", "95 %", 0.25)
@@ -118,7 +125,8 @@ def test_a_missing_difference_is_never_equality():
     row |= {"low": 0.02, "high": 0.18, "p_holm": 0.01, "different": True, "equivalent": True}
     said = sentence(row, "is preferred over", "JOD", "95 %", 0.25)
     assert said == (
-        "X is preferred over Y: 0.10 JOD, 95 % interval 0.02 to 0.18, p = .010, but equivalent within 0.25 JOD."
+        "X is preferred over Y: 0.10 JOD, 95 % interval 0.02 to 0.18, p = .010, "
+        "but equivalent within 0.25 JOD."
     )
     assert (p_text(0.0004), p_text(1.0)) == ("p < .001", "p = 1.000")
 

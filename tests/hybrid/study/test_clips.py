@@ -15,7 +15,7 @@ from hybrid.study.clips import PRESETS, Presentation, Stimuli, load_conditions
 from hybrid.study.design import ANCHOR
 from pathtrace.scene.scene import load_scene
 from tests import small
-from tests.hybrid.forests import rough_forest
+from tests.hybrid.forests import rough_forest, white_dot
 
 SIZE = 32, 24
 STILL = Presentation("still", 1.0, 4, SIZE, FrameSettings(spp=1, fill=False), spp=4)
@@ -38,7 +38,7 @@ def shown(folder, clip):
 
 
 def test_every_condition_of_every_view_has_its_clip(renderer, tmp_path):
-    found = Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(2, no_progress)
+    found = Stimuli(tmp_path, renderer, CONDITIONS, replace(STILL, views=2)).render(no_progress)
     assert len(found) == 2
     for clips in found.values():
         assert [clip.condition for clip in clips] == [*CONDITIONS, ANCHOR]
@@ -51,7 +51,7 @@ def test_every_condition_of_every_view_has_its_clip(renderer, tmp_path):
 
 
 def test_the_anchor_is_the_reference_without_its_details(renderer, tmp_path):
-    clips = next(iter(Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, no_progress).values()))
+    clips = next(iter(Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(no_progress).values()))
     truth, coarse = (shown(tmp_path, clips[n])[0].astype(float) for n in (0, -1))
     across, own = (np.abs(np.diff(image, axis=1)).mean() for image in (coarse, truth))
     assert across < 0.5 * own
@@ -59,7 +59,7 @@ def test_the_anchor_is_the_reference_without_its_details(renderer, tmp_path):
 
 
 def test_splats_alone_are_those_of_the_renderer(renderer, tmp_path):
-    clips = next(iter(Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, no_progress).values()))
+    clips = next(iter(Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(no_progress).values()))
     from compose.image.colour import bytes_from_radiance
     from pathtrace.region.neighbourhood import unseen_views
 
@@ -69,12 +69,18 @@ def test_splats_alone_are_those_of_the_renderer(renderer, tmp_path):
     assert np.array_equal(shown(tmp_path, clips[2])[0], expected)
 
 
+def test_conditions_of_like_names_have_clips_of_their_own(renderer, tmp_path):
+    wanted = {"reference": CONDITIONS["reference"], "a b": {"fov_a": 0.0}, "a-b": {"fov_a": 30.0}, "ä b": {}}
+    clips = next(iter(Stimuli(tmp_path, renderer, wanted, STILL).render(no_progress).values()))
+    assert len({clip.name for clip in clips}) == len(wanted) + 1
+
+
 def test_what_is_rendered_stays(renderer, tmp_path):
-    Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, no_progress)
+    Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(no_progress)
     files = sorted((tmp_path / "clips").rglob("*.png"))
     before = [file.stat().st_mtime_ns for file in files]
     steps = []
-    Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, lambda done, total, step="": steps.append(done))
+    Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(lambda done, total, step="": steps.append(done))
     assert [file.stat().st_mtime_ns for file in files] == before
     assert steps[-1] == len(CONDITIONS)
 
@@ -85,25 +91,46 @@ def test_an_interrupted_study_goes_on(renderer, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, stop)
+        Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(stop)
     done = {folder.name for folder in (tmp_path / "clips").iterdir() if folder.is_dir()}
     assert 0 < len(done) < len(CONDITIONS)
-    found = Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, no_progress)
+    found = Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(no_progress)
     assert all((tmp_path / "clips" / clip.name).is_dir() for clips in found.values() for clip in clips)
 
 
 def test_other_clips_are_not_mixed_in(renderer, tmp_path):
-    Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(1, no_progress)
+    Stimuli(tmp_path, renderer, CONDITIONS, STILL).render(no_progress)
     with pytest.raises(UserError, match="conditions"):
-        Stimuli(tmp_path, renderer, CONDITIONS | {"more": {"fov_a": 5.0}}, STILL).render(1, no_progress)
+        Stimuli(tmp_path, renderer, CONDITIONS | {"more": {"fov_a": 5.0}}, STILL).render(no_progress)
+    # More views are other ones.
+    with pytest.raises(UserError, match="shown"):
+        Stimuli(tmp_path, renderer, CONDITIONS, replace(STILL, views=3)).render(no_progress)
 
 
-@pytest.mark.parametrize("kind", ["trace", "walk", "play"])
+def test_a_moving_scene_plays(backend, tmp_path):
+    scene = load_scene("room-moving")
+    renderer = Renderer(scene, white_dot((0.0, 0.0, 0.0)))
+    wanted = {"reference": CONDITIONS["reference"], "splats": {"fov_a": 0.0}}
+    video = replace(STILL, kind="play", seconds=4.0, fps=1)
+    truth, *_ = next(iter(Stimuli(tmp_path, renderer, wanted, video).render(no_progress).values()))
+    images = shown(tmp_path, truth)
+    assert len(images) == 4
+    # The view stays, and something in it moves.
+    changed = np.abs(images[0].astype(int) - images[2]).max(2) > 30
+    assert 0 < changed.mean() < 0.5
+
+
+def test_a_still_scene_does_not_play(renderer, tmp_path):
+    with pytest.raises(UserError, match="does not move"):
+        Stimuli(tmp_path, renderer, CONDITIONS, replace(STILL, kind="play")).render(no_progress)
+
+
+@pytest.mark.parametrize("kind", ["trace", "walk"])
 def test_videos_move_as_their_kind_says(renderer, tmp_path, kind):
     trace = GazeTrace((0.0, 0.6), (Gaze(0.2, 0.5), Gaze(0.8, 0.5))) if kind == "trace" else None
     video = replace(STILL, kind=kind, trace=trace)
     wanted = {"reference": CONDITIONS["reference"], "hybrid": CONDITIONS["hybrid"]}
-    truth, hybrid, _ = next(iter(Stimuli(tmp_path, renderer, wanted, video).render(1, no_progress).values()))
+    truth, hybrid, _ = next(iter(Stimuli(tmp_path, renderer, wanted, video).render(no_progress).values()))
     assert (hybrid.frames, hybrid.fps) == (4, 4.0)
     images = shown(tmp_path, truth)
     assert len(images) == 4

@@ -1,4 +1,4 @@
-"""Comparisons of votes against SciPy and statsmodels, with the moments of Fov-GS's study, and of made-up people."""
+"""Comparisons of votes against SciPy and statsmodels, and with the moments of Fov-GS."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _means(values):
 
 @pytest.fixture(scope="module")
 def fov_gs():
-    """15 observers; d of .49 better, and 1.44 and 1.85 worse than ours, with the correlation that p = .15 needs."""
+    """15 observers; d of .49 better, 1.44 and 1.85 worse than ours, as correlated as p = .15 needs."""
     random = np.random.default_rng(0)
     drawn = random.normal(size=(15, 4))
     people, _ = np.linalg.qr(drawn - drawn.mean(0))

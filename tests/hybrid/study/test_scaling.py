@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
+from benchmarks.studies import agreement_with_alsarr, agreement_with_hdr_vdc
 from compose.base.errors import UserError
-from hybrid.study.observations import Choices, load_choices
+from hybrid.study.observations import Choices
 from hybrid.study.scaling import (
     SIGMA,
     agreement,
@@ -111,11 +111,11 @@ def test_intervals_hold_where_nearly_all_choose_alike():
         scale(simulated_choices({"": {"a": 0.0, "b": 3.0}}, 13, 5, seed, lapse=0))[0].difference(1, 0)
         for seed in range(300)
     ]
-    assert 0.93 <= np.mean([difference.low <= 3 <= difference.high for difference in found])
+    assert np.mean([difference.low <= 3 <= difference.high for difference in found]) >= 0.93
 
 
 def _differences(jod, spread, count=500):
-    """Differences of two conditions in so many studies, of 13 observers and 6 trials each; 1 JOD is the margin."""
+    """Differences of two conditions in studies of 13 observers and 6 trials; 1 JOD is the margin."""
     studies = (
         simulated_choices({"": {"a": jod, "b": 0.0}}, 13, 6, n, lapse=0, spread=spread) for n in range(count)
     )
@@ -196,53 +196,15 @@ def test_who_chooses_the_worse_one_is_an_outlier():
 
 @published
 def test_alsarr_is_scaled_as_its_authors_did():
-    columns = {
-        "scene": "block+velocity_deg_s",
-        "first": "texture_1+shading_rate_1",
-        "second": "texture_2+shading_rate_2",
-    }
-    choices = load_choices(_DATA / "alsarr/pairwise.csv", columns)
-    # At full rate, all textures are the reference.
-    first, second = (
-        np.where(np.char.endswith(names, " / 1"), "full", names) for names in (choices.first, choices.second)
-    )
-    told = first != second
-    parts = (choices.observer, choices.group, first, second, choices.chosen_first)
-    scales = {
-        found.group: found for found in scale(Choices(*(part[told] for part in parts)), reference="full")
-    }
-    ours, theirs = [], []
-    with (_DATA / "alsarr/jnd.csv").open() as file:
-        for row in csv.DictReader(file):
-            found = scales[f"{row['block']} / {row['velocity_deg_s']}"]
-            name = f"{row['texture']} / {float(row['shading_rate']):g}"
-            ours.append(0.0 if name.endswith(" / 1") else found.jod[found.conditions.index(name)])
-            theirs.append(float(row["jnd"]))
-    assert len(ours) == 108
-    assert np.corrcoef(ours, theirs)[0, 1] >= 0.9999
-    assert np.sqrt(np.mean(np.subtract(ours, theirs) ** 2)) <= 0.03
+    found = agreement_with_alsarr(_DATA)
+    assert found["conditions"] == 108
+    assert found["r"] >= 0.9999
+    assert found["rms"] <= 0.03
 
 
 @published
 def test_hdr_vdc_is_scaled_as_its_authors_did():
-    kinds = ("compression", "height", "distance")
-    columns = {"scene": "scene+luminance"} | {
-        name: "+".join(f"{kind}_{n}" for kind in kinds) for n, name in enumerate(("first", "second"), 1)
-    }
-    scales = scale(load_choices(_DATA / "hdr_vdc/pairwise.csv", columns))
-    with (_DATA / "hdr_vdc/jod.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    ours, theirs = [], []
-    for found in scales:
-        here = [row for row in rows if f"{row['scene']} / {row['luminance']}" == found.group]
-        jods = {name: jod for name, jod in zip(found.conditions, found.jod, strict=True)}
-        names = [" / ".join(row[kind] for kind in kinds) for row in here]
-        # The reference, at both distances, has 10 by definition.
-        anchor = np.mean(
-            [jods[name] for name, row in zip(names, here, strict=True) if row["reference"] == "1"]
-        )
-        ours += [10 + jods[name] - anchor for name in names]
-        theirs += [float(row["jod"]) for row in here]
-    assert len(ours) == 528
-    assert np.corrcoef(ours, theirs)[0, 1] >= 0.995
-    assert np.sqrt(np.mean(np.subtract(ours, theirs) ** 2)) <= 0.36
+    found = agreement_with_hdr_vdc(_DATA)
+    assert found["conditions"] == 528
+    assert found["r"] >= 0.995
+    assert found["rms"] <= 0.36
