@@ -351,7 +351,7 @@ def load_design(folder: Path) -> Design:
 def _design(found: dict[str, Any]) -> Design:
     """A design from JSON that is as the schema wants it."""
 
-    def compared(name: str) -> tuple[Comparison, ...]:
+    def all_of(name: str) -> tuple[Comparison, ...]:
         return tuple(
             Comparison(one["scene"], tuple(one["clips"]), tuple(one.get("expected", ())))
             for one in found.get(name, ())
@@ -361,12 +361,11 @@ def _design(found: dict[str, Any]) -> Design:
         places = tuple((float(x), float(y)) for x, y in one.get("marker", [(0.5, 0.5)]))
         return Clip(**{**one, "marker": places})
 
-    clips = tuple(map(clip, found["clips"]))
-    plain = {one.name: found[one.name] for one in fields(Design) if one.name in found}
-    lists = {name: tuple(found[name]) for name in ("size", "background", "fields") if name in found}
-    made = {name: compared(name) for name in ("comparisons", "training", "attention")}
-    method, timing = StudyMethod(found["method"]), Timing(**found["timing"])
-    return Design(**{**plain, **lists, **made, "method": method, "timing": timing, "clips": clips})
+    values: dict[str, Any] = {one.name: found[one.name] for one in fields(Design) if one.name in found}
+    values |= {name: tuple(found[name]) for name in ("size", "background", "fields") if name in found}
+    values |= {name: all_of(name) for name in ("comparisons", "training", "attention")}
+    values |= {"method": StudyMethod(found["method"]), "timing": Timing(**found["timing"])}
+    return Design(**values | {"clips": tuple(map(clip, found["clips"]))})
 
 
 @cache
