@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from compose.base.errors import UserError
+from compose.eye.gaze import load_gaze_trace, require_within_frame
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import FrameSettings
@@ -128,6 +129,7 @@ def design(
         raise UserError(f"--forest: {len(forest)} for {len(scenes)} scenes; must be one for each, or none")
     o.require_size(size)
     frame = FrameSettings(gaze=gaze or FrameSettings().gaze, display=display)
+    require_within_frame(frame.gaze.x, frame.gaze.y)
     shown = Presentation(
         stimulus,
         seconds or chosen.timing.stimulus,
@@ -141,7 +143,8 @@ def design(
     )
     wanted = chosen.conditions if conditions is None else load_conditions(conditions)
     texts: dict[str, Any] = {"consent": _text(consent), "instructions": _text(instructions)}
-    planned = observers or _observers(chosen, effect, power, repeats or chosen.repeats)
+    trials = (repeats or chosen.repeats) * shown.views * len(scenes)
+    planned = observers or _observers(chosen, effect, power, trials)
     o.check_writable(folder / "study.json")
     o.select(backend)
     with o.option_names("stimulus"):
@@ -166,9 +169,9 @@ def design(
         **{name: text for name, text in texts.items() if text},
     )
     made.save(folder)
-    trials = made.order(0)
-    print(f"{folder}: {planned} observers, {len(trials)} trials each, about {made.minutes(0):.0f} minutes")
-    o.write_json(json_file, {"observers": planned, "trials": len(trials), "minutes": made.minutes(0)})
+    length = len(made.order(0))
+    print(f"{folder}: {planned} observers, {length} trials each, about {made.minutes(0):.0f} minutes")
+    o.write_json(json_file, {"observers": planned, "trials": length, "minutes": made.minutes(0)})
 
 
 def _one_of(option: str, given: str, known: Iterable[str]) -> None:
@@ -187,15 +190,13 @@ def _text(file: Path | None) -> str:
 
 
 def _trace(file: Path | None, stimulus: str, frame: FrameSettings, size: tuple[int, int]) -> GazeTrace | None:
-    from compose.eye.gaze import load_gaze_trace
-
     if (file is None) == (stimulus == "trace"):
         raise UserError("--gaze-trace: must be given with --stimulus trace, and only then")
     return None if file is None else load_gaze_trace(file).on(frame.display, *size)
 
 
-def _observers(preset: Preset, effect: float | None, power: float, repeats: int) -> int:
-    """As many observers as a difference needs; the preset's number if none is asked for."""
+def _observers(preset: Preset, effect: float | None, power: float, trials: int) -> int:
+    """As many observers as a difference needs, with so many trials of a pair each; else the preset's."""
     from hybrid.study.design import StudyMethod
     from hybrid.study.power import observers_for_difference, observers_for_preference
     from hybrid.study.scaling import preference
@@ -203,7 +204,7 @@ def _observers(preset: Preset, effect: float | None, power: float, repeats: int)
     if effect is None:
         return preset.observers
     if preset.method is StudyMethod.PAIRS:
-        return observers_for_preference(preference(effect), repeats, power=power)
+        return observers_for_preference(preference(effect), trials, power=power)
     return observers_for_difference(effect, power=power)
 
 

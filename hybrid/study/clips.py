@@ -257,7 +257,9 @@ class Stimuli:
         write_whole(file, lambda part: part.write_text(text, encoding="utf-8"))
 
     def _clip(self, view: int, condition: str, gazes: list[Gaze]) -> Clip:
-        marker = tuple((gaze.x, gaze.y) for gaze in (gazes if len(set(gazes)) > 1 else gazes[:1]))
+        # A trace may look beside the frame.
+        places = np.clip([(gaze.x, gaze.y) for gaze in (gazes if len(set(gazes)) > 1 else gazes[:1])], 0, 1)
+        marker = tuple((float(x), float(y)) for x, y in places)
         return Clip(self._name(view, condition), condition, len(gazes), float(self._presentation.fps), marker)
 
     def _name(self, view: int, condition: str) -> str:

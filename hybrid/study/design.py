@@ -275,8 +275,12 @@ class Design:
         return (shown + breaks + _ANSWER * len(trials)) / 60
 
     def save(self, folder: Path) -> None:
-        """Writes study.json into a folder; UserError if it cannot be written."""
+        """Writes study.json into a folder; UserError if it cannot be written, or could not be read again."""
         found = {"format": _FORMAT, "version": _VERSION, **asdict(self), "method": self.method.value}
+        try:
+            _schema()(found)
+        except fastjsonschema.JsonSchemaException as error:
+            raise UserError(f"{folder / FILE}: {one_line(error.message.removeprefix('data.'))}") from error
         write_whole(folder / FILE, lambda part: part.write_text(json_text(found), encoding="utf-8"))
 
 

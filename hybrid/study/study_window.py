@@ -65,7 +65,9 @@ class Player(QWidget):
         self._timer.setTimerType(Qt.TimerType.PreciseTimer)
         self._timer.timeout.connect(self._due)
         self.setMouseTracking(True)
-        self.setCursor(Qt.CursorShape.BlankCursor)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        if step["gaze"] != "mouse":
+            self.setCursor(Qt.CursorShape.BlankCursor)
         QTimer.singleShot(0, self._load)
 
     @property

@@ -86,6 +86,7 @@ def test_the_number_of_observers_follows_from_the_effect(study, made, monkeypatc
         (["--conditions", "missing.json"], "missing.json"),
         (["--forest", "a.forest", "--forest", "b.forest"], "--forest: 2 for 1 scenes"),
         (["--size", "0", "10"], "--size"),
+        (["--gaze", "1.2", "0.5"], "gaze 1.2 0.5"),
         (["--effect", "0.011"], "effect"),
     ],
 )

@@ -96,6 +96,12 @@ def test_a_design_is_read_as_it_was_written(tmp_path, method):
     assert load_design(tmp_path) == made
 
 
+def test_a_design_that_could_not_be_read_again_is_not_written(tmp_path):
+    with pytest.raises(UserError, match="consent"):
+        design(consent="a" * 100_000).save(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def _changed(tmp_path, change):
     design().save(tmp_path)
     file = tmp_path / "study.json"
