@@ -14,10 +14,12 @@ from PySide6.QtWidgets import (
     QApplication,
     QComboBox,
     QFormLayout,
+    QFrame,
     QHBoxLayout,
     QLabel,
     QLineEdit,
     QPushButton,
+    QScrollArea,
     QStackedLayout,
     QVBoxLayout,
     QWidget,
@@ -278,9 +280,10 @@ class StudyWindow(QWidget):
 
     def _show(self) -> None:
         step = self._session.step
-        page = {"trial": self._trial, "form": self._form}.get(step["kind"], self._text)(step)
         background = ",".join(map(str, step.get("background", (16, 16, 16))))
+        # First, because texts have their size from it.
         self.setStyleSheet(_STYLE % f"rgb({background})")
+        page = {"trial": self._trial, "form": self._form}.get(step["kind"], self._text)(step)
         before = self._layout.currentWidget()
         self._layout.addWidget(page)
         self._layout.setCurrentWidget(page)
@@ -296,18 +299,35 @@ class StudyWindow(QWidget):
         rate = screen.refreshRate() if screen.refreshRate() > 0 else 60.0
         return Player(self, self._session, 1 / rate)
 
+    def _page(self, title: str) -> tuple[QWidget, QVBoxLayout]:
+        page = QWidget(self)
+        layout = QVBoxLayout(page)
+        layout.setSpacing(28)
+        layout.addStretch()
+        heading = QLabel(title)
+        heading.setObjectName("title")
+        layout.addWidget(heading, alignment=Qt.AlignmentFlag.AlignCenter)
+        return page, layout
+
     def _text(self, step: Step) -> QWidget:
-        page, layout = _page(step["title"])
-        body = QLabel(step["body"])
+        page, layout = self._page(step["title"])
+        body, screen = QLabel(step["body"], page), self.screen().size()
         body.setWordWrap(True)
-        body.setFixedWidth(min(_COLUMN, self.screen().size().width() - 80))
-        layout.addWidget(body, alignment=Qt.AlignmentFlag.AlignCenter)
+        body.ensurePolished()
+        width = min(_COLUMN, screen.width() - 80)
+        # As high as the text; what does not fit on the screen is scrolled.
+        scroll = QScrollArea(page)
+        scroll.setWidget(body)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setFixedSize(width + 20, min(body.heightForWidth(width) + 4, round(0.6 * screen.height())))
+        layout.addWidget(scroll, alignment=Qt.AlignmentFlag.AlignCenter)
         self._ask = dict
         self._add_button(layout, step)
         return page
 
     def _form(self, step: Step) -> QWidget:
-        page, layout = _page(step["title"])
+        page, layout = self._page(step["title"])
         form, inputs = QFormLayout(), {}
         for one in step["fields"]:
             entry = QComboBox() if one["type"] == "choice" else QLineEdit()
@@ -338,17 +358,6 @@ class StudyWindow(QWidget):
             self.close()
         elif self.button is not None and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Space):
             self.button.click()
-
-
-def _page(title: str) -> tuple[QWidget, QVBoxLayout]:
-    page = QWidget()
-    layout = QVBoxLayout(page)
-    layout.setSpacing(28)
-    layout.addStretch()
-    heading = QLabel(title)
-    heading.setObjectName("title")
-    layout.addWidget(heading, alignment=Qt.AlignmentFlag.AlignCenter)
-    return page, layout
 
 
 def _value(entry: QLineEdit | QComboBox) -> str:
