@@ -35,6 +35,8 @@ _SHOWN, _SHOWN_LESS = 0.56, 0.65
 _LEFT_SHARE, _LEAST_SHARE = 0.5, 0.3
 # Shares of its time that a stage may be stretched or shrunk to, the largest first.
 _SHARES = np.geomspace(16.0, _LEAST_SHARE, 500).tolist()
+# The most that frames of a stretched first stage take, over its training, for the sake of further samples.
+_MOST_FRAMES = 1.5
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
 # Least share of the first stage's views, and how many of them tell how large it can be.
@@ -93,30 +95,28 @@ def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float
     both = expected_seconds(stage, before).at(pace) + expected_seconds(following, [*before, stage]).at(pace)
     if both <= left:
         return stage
-    possible = [_in_time(stage, share, before, pace) for share in _SHARES if before or share >= 1]
     if before:
         goes_on = replace(before[-1], views=0)
-        possible += [_in_time(goes_on, share, before, pace) for share in _SHARES]
+        possible = [one.in_time(share) for one in (stage, goes_on) for share in _SHARES]
     else:
+        possible = [_first_in_time(stage, share, pace) for share in _SHARES if share >= 1]
         possible += [replace(stage, spp=spp) for spp in range(stage.spp, LEAST_SPP - 1, -1)]
     fitting = next((one for one in possible if expected_seconds(one, before).at(pace) <= left), None)
     return fitting or (None if before else _least_first(possible[-1], pace, left))
 
 
-def _in_time(stage: Stage, share: float, before: Sequence[Stage], pace: Seconds) -> Stage:
-    """The stage in some share of its time; where paths are dear, with fewer samples than that would have.
+def _first_in_time(stage: Stage, share: float, pace: Seconds) -> Stage:
+    """The first stage in a multiple of its time; where paths are dear, with fewer samples than that would have.
 
-    Further samples are for as long as frames take no longer than the training: where they took four fifths of
-    a minute, `classroom` had 2 dB less.
+    Where its frames took four fifths of a minute, `classroom` had 2 dB less.
     """
     longer = stage.in_time(share)
-    few = replace(longer, spp=min(stage.spp, longer.spp))
-    most, least = (expected_seconds(one, before).frames * pace.frames for one in (longer, few))
-    training = expected_seconds(longer, before).training * pace.training
-    if most <= max(training, least):
+    expected, least = expected_seconds(longer, []), expected_seconds(stage, []).frames * pace.frames
+    most, afforded = expected.frames * pace.frames, _MOST_FRAMES * expected.training * pace.training
+    if most <= max(afforded, least):
         return longer
-    afforded = max(0.0, training - least) / (most - least)
-    return replace(longer, spp=few.spp + int(afforded * (longer.spp - few.spp)))
+    further = max(0.0, afforded - least) / (most - least)
+    return replace(longer, spp=stage.spp + int(further * (longer.spp - stage.spp)))
 
 
 def _least_first(stage: Stage, pace: Seconds, left: float) -> Stage:

@@ -73,7 +73,7 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits(before, lon
 
 
 @pytest.mark.parametrize("dear", [1.0, 2.0, 4.0])
-def test_samples_of_a_stretched_stage_take_no_longer_than_its_training(dear):
+def test_a_stretched_first_stage_leaves_time_for_its_training(dear):
     """Where paths are dear, there are fewer of them; never fewer than the stage has without stretching."""
     pace, stage = Seconds(dear, 1.0), planned_stage(0, Needs(detail=2.0))
     left = 1.5 * expected_seconds(stage, []).at(pace)
@@ -82,7 +82,7 @@ def test_samples_of_a_stretched_stage_take_no_longer_than_its_training(dear):
     assert stretched.steps > stage.steps
     expected = expected_seconds(stretched, [])
     if stretched.spp > stage.spp:
-        assert expected.frames * pace.frames <= expected.training * pace.training
+        assert expected.frames * pace.frames <= 1.5 * expected.training * pace.training
     else:
         assert stretched.spp == stage.spp
     assert 0.9 * left < expected.at(pace) <= left
