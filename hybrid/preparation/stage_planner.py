@@ -106,7 +106,7 @@ def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float
 
 
 def _first_in_time(stage: Stage, share: float, pace: Seconds) -> Stage:
-    """The first stage in a multiple of its time; where paths are dear, with fewer samples than that would have.
+    """The first stage in a multiple of its time; where paths are dear, with fewer samples than others.
 
     Where its frames took four fifths of a minute, `classroom` had 2 dB less.
     """
