@@ -35,8 +35,6 @@ _SHOWN, _SHOWN_LESS = 0.56, 0.65
 _LEFT_SHARE, _LEAST_SHARE = 0.5, 0.3
 # Shares of its time that a stage may be stretched or shrunk to, the largest first.
 _SHARES = np.geomspace(16.0, _LEAST_SHARE, 500).tolist()
-# The most that frames of a stretched first stage take, over its training, for the sake of further samples.
-_MOST_FRAMES = 1.5
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
 # Least share of the first stage's views, and how many of them tell how large it can be.
@@ -108,14 +106,15 @@ def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float
 def _first_in_time(stage: Stage, share: float, pace: Seconds) -> Stage:
     """The first stage in a multiple of its time; where paths are dear, with fewer samples than others.
 
-    Where its frames took four fifths of a minute, `classroom` had 2 dB less.
+    Further samples are for as long as frames take no longer than the training: where they took two thirds of
+    a minute, `classroom` had 2 dB less.
     """
     longer = stage.in_time(share)
     expected, least = expected_seconds(longer, []), expected_seconds(stage, []).frames * pace.frames
-    most, afforded = expected.frames * pace.frames, _MOST_FRAMES * expected.training * pace.training
-    if most <= max(afforded, least):
+    most, training = expected.frames * pace.frames, expected.training * pace.training
+    if most <= max(training, least):
         return longer
-    further = max(0.0, afforded - least) / (most - least)
+    further = max(0.0, training - least) / (most - least)
     return replace(longer, spp=stage.spp + int(further * (longer.spp - stage.spp)))
 
 

@@ -82,7 +82,7 @@ def test_a_stretched_first_stage_leaves_time_for_its_training(dear):
     assert stretched.steps > stage.steps
     expected = expected_seconds(stretched, [])
     if stretched.spp > stage.spp:
-        assert expected.frames * pace.frames <= 1.5 * expected.training * pace.training
+        assert expected.frames * pace.frames <= expected.training * pace.training
     else:
         assert stretched.spp == stage.spp
     assert 0.9 * left < expected.at(pace) <= left
