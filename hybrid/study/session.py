@@ -91,7 +91,11 @@ class StudySession:
             checked = _CHECKS.get(self.step["kind"], lambda step, reply: reply)(self.step, reply)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise UserError(f"reply: is not one to a {self.step['kind']} ({one_line(error)})") from error
-        self.step = {"id": next(self._ids), **self._flow.send(checked)}
+        try:
+            self.step = {"id": next(self._ids), **self._flow.send(checked)}
+        except StopIteration as error:
+            # After an answer that could not be stored.
+            raise UserError(f"{self.file}: cannot be written any more; run the study again") from error
 
     def missing(self, file: str) -> UserError:
         """What to raise where a frame of a clip cannot be read."""

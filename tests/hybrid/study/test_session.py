@@ -237,6 +237,28 @@ def test_answers_to_another_design_are_refused(tmp_path):
         StudySession(tmp_path, design(scenes=4, seed=1), 1)
 
 
+class FullDisk:
+    def write(self, content):
+        raise OSError(28, "No space left on device")
+
+    def close(self):
+        pass
+
+
+def test_a_full_disk_is_one_line_and_the_session_resumes(tmp_path):
+    made = design()
+    session = up_to_trials(StudySession(tmp_path, made, 1))
+    session.answer(reply(session))
+    session.close()
+    session._rows = FullDisk()
+    for said in ("No space left", "run the study again"):
+        with pytest.raises(UserError, match=said):
+            session.answer(reply(session))
+    again = StudySession(tmp_path, made, 1)
+    finish(again)
+    assert [row["trial"] for row in rows(tmp_path)] == [str(n + 1) for n in range(len(made.order(0)))]
+
+
 def test_an_observer_is_run_by_one_process(tmp_path):
     pytest.importorskip("fcntl")
     first = StudySession(tmp_path, design(), 1)
