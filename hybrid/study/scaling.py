@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -282,9 +282,9 @@ def pooled(scales: Sequence[Scale]) -> Scale | None:
     return Scale("", scales[0].conditions, tuple(observers), jod, without.mean(1), independent)
 
 
-def preference(jod: float) -> float:
-    """Probability that a condition which is so much better is preferred."""
-    return float(ndtr(jod / SIGMA))
+def preference(jod: Any) -> Any:
+    """Probability that a condition which is so much better is preferred; of a number or an array."""
+    return ndtr(jod / SIGMA)
 
 
 def agreement(choices: Choices, scales: Sequence[Scale]) -> dict[str, float]:

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from compose.base.errors import require_seed
 from hybrid.study.observations import Choices, Ratings
-from hybrid.study.scaling import SIGMA
+from hybrid.study.scaling import SIGMA, preference
 
 # Share of the trials in which an observer presses any button; steps of a scale per JOD; standard deviations,
 # in steps, of observers' biases and opinions, and from vote to vote. All are made up; with them, a single
@@ -23,8 +22,8 @@ Qualities = Mapping[str, Mapping[str, float]]
 
 
 def chosen_share(jod: Any, lapse: float = _LAPSE) -> Any:
-    """Probability that what is better by some JOD is chosen, by Thurstone's case V, with lapses."""
-    return lapse / 2 + (1 - lapse) * ndtr(jod / SIGMA)
+    """Probability that what is better by some JOD is chosen, with lapses."""
+    return lapse / 2 + (1 - lapse) * preference(jod)
 
 
 def rounded_vote(jod: Any, own: Any, slope: float = _SLOPE) -> Any:
