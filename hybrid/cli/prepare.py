@@ -19,7 +19,7 @@ def prepare(
     forest: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Also write the forest here.")
     ] = None,
-    quality: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
+    quality: Annotated[str, typer.Option(help="glimpse, draft, standard, high or live.")] = "standard",
     minutes: Annotated[
         float | None, typer.Option(help="Time budget in minutes; overrides --quality.")
     ] = None,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ from hybrid.preparation.stage_frames import (
     wanted_of,
 )
 from hybrid.preparation.stage_planner import PROBED, JobClock, Planner
-from hybrid.preparation.stages import PreparationSettings, Stage
+from hybrid.preparation.stages import GLIMPSE, LIVE, PreparationSettings, Stage
 from hybrid.render.forest_attachments import plan_of_forest, scene_as_trained
 from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
@@ -71,12 +72,34 @@ class Prepared:
     facts: dict[str, Any]  # what `hybrid prepare --json` writes
 
 
+# In the folder of a job: what is done, the forest that it goes on from, if any, and one of each stage.
+_JOURNAL, _START, _STAGE = "job.json", "start.safetensors", "stage-{}.safetensors"
+
+
+@dataclass(frozen=True)
+class Staged:
+    """What a preparation has come to after a stage."""
+
+    forest: Path
+    number: int  # of the stage, from 1
+    stages: int  # that are planned; more may follow if a PSNR is to be reached
+    seconds: float
+    psnr: float  # dB in frames that it was trained on
+
+
+# Number of the stage, from 0, whose forest is the first to become the newest one of its scene: by quality,
+# and by default. A first look never does.
+_FIRST_STORED, _SECOND = {GLIMPSE: math.inf, LIVE: 2}, 1
+
+
 def prepare(
     scene: Scene,
     settings: PreparationSettings | None = None,
     bars: Bars = no_bars,
     folder: Path | None = None,
     started: float | None = None,
+    start: Forest | None = None,
+    told: Callable[[Staged], object] | None = None,
 ) -> Prepared:
     """Prepares a scene; the forest becomes its newest one after every stage. Resumes if interrupted.
 
@@ -84,12 +107,14 @@ def prepare(
         settings: how far to go, and which views validate it; the defaults of PreparationSettings if None.
         folder: for everything that is written; a folder of the scene's in the cache by default.
         started: time.perf_counter() from which the time counts; now if None.
+        start: whose finest layer to go on from; that of the first run, if this one resumes it.
+        told: called after every stage of this run.
 
     Raises:
         UserError: the region has no free space, a target cannot be reached, or a file cannot be written.
     """
     settings = settings or PreparationSettings()
-    start = time.perf_counter() if started is None else started
+    started = time.perf_counter() if started is None else started
     for difficulty in light_difficulties(scene):
         _LOG.warning("%s", difficulty)
     # As many samples as there is time for, where they help.
@@ -98,16 +123,19 @@ def prepare(
     region = region_of(scene, surfaces, settings.region)
     planned = {"plan": dict(scene.plan)} if scene.plan else {}
     identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings), **planned}
-    folder = folder or scene_folder(scene.name, scene.hash) / f"prepared-{short_hash(identity)}"
+    kind = settings.quality if settings.quality in _FIRST_STORED else "prepared"
+    folder = folder or scene_folder(scene.name, scene.hash) / f"{kind}-{short_hash(identity)}"
     folder.mkdir(parents=True, exist_ok=True)
-    journal = Journal(folder / "job.json", identity)
-    clock = JobClock(journal, start)
+    if start is not None and not (folder / _JOURNAL).exists():
+        save_forest(folder / _START, start)
+    journal = Journal(folder / _JOURNAL, identity)
+    clock = JobClock(journal, started)
     with bars("region") as bar:
         bar(0, 1, "choosing views")
         breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
     planner = Planner(settings, journal, clock, planned_needs(scene.plan, settings.region, breadth))
     try:
-        return _Job(scene, region, settings, bars, folder, planner).run()
+        return _Job(scene, region, settings, bars, folder, planner, told).run()
     finally:
         # An interrupted job continues with the time that it took so far.
         clock.keep()
@@ -123,6 +151,7 @@ class _Job:
     bars: Bars
     folder: Path
     planner: Planner
+    told: Callable[[Staged], object] | None
     passes: list[Pass] = field(default_factory=list)
     curve: list[dict[str, Any]] = field(default_factory=list)
 
@@ -133,13 +162,15 @@ class _Job:
         # Of the training frames.
         bounded = tracer if most is None else Tracer(self.scene, cache=cache, most_indirect=most)
         frames = GrowingFrames(self.folder / "frames", bounded, Integrator.CACHED.value, self.settings.seed)
-        judges, forest = self._judges(tracer), None
+        judges, start = self._judges(tracer), self.folder / _START
+        forest = load_forest(start) if start.is_file() else None
         while self.planner.begin(self.curve):
             forest = self._staged(frames, forest)
             self._judge(judges, forest)
         assert forest is not None
         forest = self._finished(frames, forest)
-        store_forest(forest, self.folder.name)
+        if self.settings.quality != GLIMPSE:
+            store_forest(forest, self.folder.name)
         facts = {**self._facts(forest, frames), **self._limit(forest, frames)}
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
         self._say_converging(facts)
@@ -174,7 +205,7 @@ class _Job:
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:
         """The forest after a stage; trained now, unless it is in the folder."""
         number = self.planner.number
-        path = self.folder / f"stage-{number}.safetensors"
+        path = self.folder / _STAGE.format(number)
         if self.planner.is_finished and path.is_file():
             self.passes.append(Pass(**self.planner.journal[f"pass {number}"]))
             return load_forest(path)
@@ -190,9 +221,19 @@ class _Job:
         brought = lambda: Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)  # noqa: E731
         self.passes.append(Pass(**self.planner.journal.once(f"pass {number}", lambda: asdict(brought()))))
         forest = self._trained(found, light, path, before)
-        if number:
+        if number >= _FIRST_STORED.get(self.settings.quality, _SECOND):
             store_forest(forest, self.folder.name)
+        self._tell(frames, forest)
         return forest
+
+    def _tell(self, frames: GrowingFrames, forest: Forest) -> None:
+        """Tells who asked for it what a stage has come to."""
+        if self.told is not None:
+            number, seconds = self.planner.number, self.planner.clock.seconds()
+            with self.planner.clock.stopped():
+                psnr = trained_psnr(frames, forest)
+            stages = max(number + 1, len(self.settings.stages))
+            self.told(Staged(self.folder / _STAGE.format(number), number + 1, stages, seconds, psnr))
 
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""

@@ -224,6 +224,19 @@ def store_plan(plan: ScenePlan) -> None:
     write_whole(_file(plan.scene_name, plan.scene_hash), lambda part: part.write_text(text))
 
 
+def with_plan_of(scene: Scene, other: Scene) -> Scene:
+    """A scene with its own plan, else with that of another version of it, which is stored as its own.
+
+    UserError if something moves in one of them only, or the cache folder cannot be written.
+    """
+    plan = _stored(scene)
+    if plan is None and (known := _stored(other)) is not None:
+        require_plan(known.values(), scene, "the scene before its change")
+        plan = replace(known, scene_name=scene.name, scene_hash=scene.own_hash)
+        store_plan(plan)
+    return scene if plan is None else scene.planned(plan.values())
+
+
 def _file(name: str, digest: str) -> Path:
     return scene_folder(name, digest) / "plan.json"
 

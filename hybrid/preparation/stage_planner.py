@@ -13,9 +13,10 @@ import numpy as np
 from hybrid.base.journal import Journal
 from hybrid.preparation.forest_training import LEAST_PACED
 from hybrid.preparation.stages import (
+    GLIMPSE,
     LEAST_SPP,
-    QUALITIES,
     SIDE,
+    STAGES,
     Needs,
     PreparationSettings,
     Stage,
@@ -79,14 +80,20 @@ def step_seconds(stage: Stage) -> float:
     return _STEP * (of_pixels + shown / _GAUSSIANS_OF_A_STEP)
 
 
-def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float | None) -> Stage | None:
-    """The stage to do next; None if there is no time for one.
+def next_stage(
+    before: Sequence[Stage],
+    needs: Needs,
+    pace: Seconds,
+    left: float | None,
+    stages: Sequence[Stage] = STAGES,
+) -> Stage | None:
+    """The stage to do next, of those planned; None if there is no time for one.
 
     If there will be no time for another one, it is stretched over all of the time, or shrunk into it. Where
     there is too little time for it, the last stage goes on, with more samples and steps. `left` is in
     seconds; None if time does not matter.
     """
-    stage = planned_stage(len(before), needs)
+    stage = planned_stage(len(before), needs, stages)
     if left is None:
         return stage
     following = planned_stage(len(before) + 1, needs).in_time(_LEFT_SHARE)
@@ -215,7 +222,8 @@ class Planner:
         self.journal[_PROBE] = asdict(Seconds(slower, slower**0.5))
         left = self._left()
         assert left is not None
-        fitting = next_stage([], self._needs, self._pace(), left + (1 + 1 / PROBED) * seconds)
+        left += (1 + 1 / PROBED) * seconds
+        fitting = next_stage([], self._needs, self._pace(), left, self._settings.stages)
         assert fitting is not None
         self.journal["stage 0"] = asdict(replace(fitting, views=max(1 + PROBED, fitting.views)))
         self.stages[0] = Stage(**self.journal["stage 0"])
@@ -238,7 +246,8 @@ class Planner:
             left -= pace.training * stage.gaussians * _BUILT
         possible = int(left / seconds)
         # No more than planned where the time that they leave is of use to further views.
-        following = next_stage(self.stages, self._needs, pace, left - seconds * stage.steps)
+        left -= seconds * stage.steps
+        following = next_stage(self.stages, self._needs, pace, left, self._settings.stages)
         if following is not None and following.views:
             possible = min(possible, stage.steps)
         self.journal[f"steps {number}"] = steps = max(possible, _least_steps(stage))
@@ -261,7 +270,9 @@ class Planner:
     def fits_fusion(self) -> bool:
         """Whether there is time for a fusion."""
         minutes = self._settings.minutes
-        return minutes is None or 60 * minutes * _FUSION_SHARE > _FUSION.at(AS_EXPECTED)
+        if minutes is None:
+            return self._settings.quality != GLIMPSE
+        return 60 * minutes * _FUSION_SHARE > _FUSION.at(AS_EXPECTED)
 
     @property
     def fusion_share(self) -> float:
@@ -280,7 +291,7 @@ class Planner:
         if left is not None and f"light seconds {number - 1}" in self.journal:
             # What it depends on, Gaussians and times, grows little from stage to stage.
             left -= self.journal[f"light seconds {number - 1}"]
-        stage = next_stage(self.stages, self._needs, self._pace(), left)
+        stage = next_stage(self.stages, self._needs, self._pace(), left, self._settings.stages)
         return asdict(stage) if stage else None
 
     def _is_enough(self, number: int, psnr: list[float]) -> bool:
@@ -290,7 +301,7 @@ class Planner:
             return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
         if self._settings.minutes is not None:
             return number >= _MOST_STAGES
-        return number >= QUALITIES[self._settings.quality] or not gained
+        return number >= len(self._settings.stages) or not gained
 
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from compose.base.errors import UserError, as_plain_numbers, require_seed
@@ -100,17 +101,27 @@ STAGES = (
     Stage(views=40, scale=2, spp=32, gaussians=74_000, steps=1000),
     Stage(views=60, scale=4, spp=64, gaussians=107_000, steps=1300),
 )
-# Number of stages by quality.
-QUALITIES = {"draft": 2, "standard": 4, "high": 5}
+# For somebody who waits for the first frame: 21 dB in `room`, where the first stage has 31.
+_FIRST_LOOK = Stage(views=12, scale=1, spp=4, gaussians=20_000, steps=60)
+# A first look alone, and all stages after one.
+GLIMPSE, LIVE = "glimpse", "live"
+# Stages by quality.
+QUALITIES = {
+    GLIMPSE: (_FIRST_LOOK,),
+    "draft": STAGES[:2],
+    "standard": STAGES[:4],
+    "high": STAGES,
+    LIVE: (_FIRST_LOOK, *STAGES),
+}
 
 
-def planned_stage(number: int, needs: Needs) -> Stage:
+def planned_stage(number: int, needs: Needs, stages: Sequence[Stage] = STAGES) -> Stage:
     """The stage of a number from 0, if there is time for all of it."""
-    if number < len(STAGES):
-        return STAGES[number].for_needs(needs)
+    if number < len(stages):
+        return stages[number].for_needs(needs)
     # More of the same: the finest frames elsewhere, all samples doubled.
-    last = STAGES[-1]
-    return replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).for_needs(needs)
+    last = stages[-1]
+    return replace(last, spp=last.spp * 2 ** (number - len(stages) + 1)).for_needs(needs)
 
 
 MOST_MINUTES = 10_000.0
@@ -122,7 +133,8 @@ class PreparationSettings:
 
     Attributes:
         region: near, reachable, or a file with a camera path (pathtrace.region).
-        quality: draft, standard or high: how far to go, unless minutes or psnr are given.
+        quality: how far to go, unless minutes or psnr are given: draft, standard or high; glimpse for a
+            forest of seconds; live for that and then all that high does.
         minutes: time to use, over 0.
         psnr: dB on held-out views to reach, over 0.
         held_out: number of held-out validation views, which are not trained on and whose time is not counted.
@@ -144,6 +156,11 @@ class PreparationSettings:
     size: tuple[int, int] = (SIDE, SIDE)
     most_indirect: float | None = None
     seed: int = 0
+
+    @property
+    def stages(self) -> Sequence[Stage]:
+        """Stages to do in turn, for the default region of a scene that nobody has looked at."""
+        return STAGES if self.minutes is not None or self.psnr is not None else QUALITIES[self.quality]
 
     def __post_init__(self) -> None:
         as_plain_numbers(self)

@@ -66,16 +66,21 @@ class Renderer:
     def __init__(
         self, scene: Scene, forest: Forest, *, history: bool = False, roulette_depth: int | None = None
     ):
-        scene = scene_as_trained(scene, forest)
-        require_scene(forest, scene.name, scene.hash, "this forest")
-        self.scene, self._arrays = scene, device_arrays()
-        self.tracer = Tracer(scene, roulette_depth=roulette_depth)
-        self.periphery = Periphery(self._arrays, forest)
-        self._filler, self._errors = Filler(self._arrays, forest), ExpectedErrors(self._arrays, forest)
-        self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
+        self.scene, self._arrays = scene_as_trained(scene, forest), device_arrays()
+        self.tracer = Tracer(self.scene, roulette_depth=roulette_depth)
+        self._history, self._roulette_depth = history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
-        self._as_loaded, self._time = True, 0.0
+        self._as_loaded = True
+        self.show_forest(forest)
+
+    def show_forest(self, forest: Forest) -> None:
+        """Draws another forest of the scene from now on; UserError if it belongs to another scene."""
+        require_scene(forest, self.scene.name, self.scene.hash, "this forest")
+        self.periphery, self._time = Periphery(self._arrays, forest), 0.0
+        self._filler, self._errors = Filler(self._arrays, forest), ExpectedErrors(self._arrays, forest)
+        self._fusion = fusion_of(forest)
+        self._foveas.clear()
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
         """The scene's tracer with an integrator; `tracer` is the unbiased one."""

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from hybrid.base.compute_device import PassClock, release_memory
 from hybrid.base.progress import Progress, bars_of
-from hybrid.preparation.preparation import found_forest, with_forest
-from hybrid.preparation.scene_plan import scene_as_stored
+from hybrid.preparation.preparation import prepare, with_forest
+from hybrid.preparation.scene_plan import scene_as_stored, with_plan_of
+from hybrid.preparation.stages import GLIMPSE, PreparationSettings
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
+from hybrid.window.learning import ShownScene, Watched, forest_to_show
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
+from pathtrace.scene.scene import Scene
 from pathtrace.trace.integrator import Integrator
 
 # Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
@@ -35,10 +38,11 @@ _RELEASE_EVERY = 2.0
 
 
 class FrameSource:
-    """Frames of one scene."""
+    """Frames of one scene, which may change and be learnt meanwhile if it is watched."""
 
-    def __init__(self, renderer: LiveRenderer):
-        self.renderer = renderer
+    def __init__(self, renderer: LiveRenderer, watched: Watched | None = None, forest: Path | None = None):
+        """Also takes the file of the renderer's forest, from which a changed scene is learnt."""
+        self.renderer, self._watched, self._forest = renderer, watched, forest
         self._last: ShownFrame | None = None
         self._converging: ConvergingFrame | None = None
         self._seed = 0
@@ -95,6 +99,44 @@ class FrameSource:
         )
         return self._last
 
+    def renew(self, report: Progress) -> bool:
+        """Takes what has changed or been learnt since the last time; whether frames look different now.
+
+        UserError if the cache folder cannot be written.
+        """
+        if self._watched is None:
+            return False
+        scene = self._watched.changed()
+        if scene is not None:
+            self._take_scene(self._watched, scene, report)
+            return True
+        learnt = self._watched.learnt()
+        if learnt is not None:
+            self._forest, forest = learnt
+            if forest.scene_hash == self.renderer.scene.hash:
+                self.renderer.show_forest(forest)
+            else:
+                # The scene had no plan before.
+                self.renderer = LiveRenderer(self.renderer.scene, forest)
+            self._last = self._converging = None
+        return learnt is not None
+
+    def _take_scene(self, watched: Watched, scene: Scene, report: Progress) -> None:
+        """Shows a scene whose files have changed, with the splats of before until it is learnt."""
+        before, forest = self.renderer.scene, self.renderer.periphery.forest
+        scene = with_plan_of(scene, before)
+        if self._last is not None and self._last.request.settings.used_integrator is Integrator.CACHED:
+            cache_for(scene, bars_of(report))
+        claimed = replace(forest, scene_name=scene.name, scene_hash=scene.hash)
+        self.renderer = LiveRenderer(scene, claimed)
+        self._last = self._converging = None
+        watched.learn(self._forest)
+
+    def close(self) -> None:
+        """Ends what runs beside."""
+        if self._watched is not None:
+            self._watched.stop()
+
     def forget(self) -> None:
         """Renders the next frame as if it were the first one."""
         self._last = None
@@ -129,27 +171,33 @@ class FrameSource:
 
 
 def prepared(
-    scene: str,
+    scene: ShownScene,
     forest: Path | None,
-    backend: str,
-    trains: bool,
+    learns: bool,
     settings: FrameSettings,
     report: Progress,
-    thin_glass: bool = False,
-    sensor: str | None = None,
+    say: Callable[[str], object] = lambda line: None,
 ) -> FrameSource:
-    """The source of a scene's frames, the first of which has these settings; arguments as in `run_window`.
+    """The source of a scene's frames, the first of which has these settings.
 
-    If there is no forest, one is trained if `trains`. UserError if the scene or the forest is missing, or if
-    they do not belong together.
+    Unless a forest file is given, the best one at hand is shown, or one that takes seconds; if `learns`,
+    better ones follow, and `say` gets lines about them. UserError if the scene or the forest is missing, or
+    if they do not belong together.
     """
     # Before the scene is loaded, since the backend decides what it is loaded into.
-    select_backend(backend)
-    loaded, bars = scene_as_stored(scene, thin_glass=thin_glass, sensor=sensor), bars_of(report)
-    loaded, file = found_forest(loaded, forest, bars)
-    if not trains and file is None:
-        raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
-    loaded, found = with_forest(loaded, file, bars)
+    select_backend(scene.backend)
+    loaded, bars = (
+        scene_as_stored(scene.source, thin_glass=scene.thin_glass, sensor=scene.sensor),
+        bars_of(report),
+    )
+    path, is_unfinished = (forest, False) if forest else forest_to_show(loaded)
+    if path is None:
+        glimpse = prepare(loaded, PreparationSettings(quality=GLIMPSE, held_out=0), bars)
+        path = Path(glimpse.facts["forest"])
+    loaded, found = with_forest(loaded, path, bars)
     if settings.used_integrator is Integrator.CACHED:
         cache_for(loaded, bars)
-    return FrameSource(LiveRenderer(loaded, found))
+    watched = Watched(scene, learns and forest is None, say)
+    if is_unfinished:
+        watched.learn(path)
+    return FrameSource(LiveRenderer(loaded, found), watched, path)

@@ -32,6 +32,7 @@ from pathtrace.scene.scene_xml import (
     SceneDescription,
     dictionary_fingerprint,
     read_description,
+    referenced_files,
     text_fingerprint,
 )
 from pathtrace.scene.sunsky import balanced_dictionary
@@ -41,6 +42,8 @@ _LOG = logging.getLogger("hybrid")
 _LOADING = threading.RLock()
 _REPOSITORY_SCENES = Path(__file__).resolve().parents[2] / "scenes"
 _INSTALLED_SCENES = Path(__file__).resolve().parents[1] / "scenes"
+# Of the motion file beside a scene's file.
+_MOTION = ".motion.json"
 RUSSIAN_ROULETTE_DEPTH = 5
 # Beyond these path depths hardly any energy is left: in a closed room, and in a cloud.
 DEFAULT_MAX_DEPTH, _DEPTH_OF_MEDIA = 8, 64
@@ -71,6 +74,18 @@ def xml_of(source: str | Path) -> tuple[Path, str | None]:
     if isinstance(source, str) and source.lstrip().startswith("<"):
         return Path("text.xml").absolute(), source
     return scene_file(source), None
+
+
+def files_of_scene(source: str | Path) -> list[Path]:
+    """All files that `load_scene` reads of a scene; none of XML text.
+
+    UserError if the scene is missing or not well-formed.
+    """
+    path, text = xml_of(source)
+    if text is not None:
+        return []
+    motion = path.with_suffix(_MOTION)
+    return [*referenced_files(path), *([motion] if motion.is_file() else [])]
 
 
 def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
@@ -295,7 +310,7 @@ def _described(
     name = scene_name(path.parent.name if path.stem == "scene" else path.stem, "scene")
     description = read_description(path, text)
     content = Source(str(source) if text is None else name, description.text, path.parent)
-    beside = path.with_suffix(".motion.json")
+    beside = path.with_suffix(_MOTION)
     motion = beside if motion is None and text is None and beside.is_file() else motion
     return content, name, description, motion
 

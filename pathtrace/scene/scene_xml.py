@@ -171,6 +171,13 @@ def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Pa
             )
 
 
+def referenced_files(path: Path) -> list[Path]:
+    """A scene's XML file and all that Mitsuba loads because of it; UserError if it is not well-formed."""
+    references = References(path, parse_xml(path))
+    found = [file for name, beside in references.names for file in references.candidates(name, beside)]
+    return list(dict.fromkeys([path, *found]))
+
+
 def file_fingerprint(content: bytes, root: ET.Element, references: References) -> str:
     """Hash (64 hexadecimal digits) of a scene's XML and of every file that Mitsuba loads because of it.
 

@@ -15,10 +15,10 @@ from hybrid.preparation import stage_planner as planner
 from hybrid.preparation import stages
 from hybrid.preparation.decisions import REGION, SAMPLES
 from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS
-from hybrid.preparation.preparation import prepare
+from hybrid.preparation.preparation import Staged, prepare
 from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings
-from hybrid.render.forest_attachments import plan_of_forest
+from hybrid.render.forest_attachments import fusion_of, plan_of_forest
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
@@ -152,7 +152,7 @@ def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_pa
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"quality": "best"}, "quality best: must be draft, standard, high"),
+        ({"quality": "best"}, "quality best: must be glimpse, draft, standard, high, live"),
         ({"minutes": 0.0}, "minutes 0: must be over 0"),
         ({"minutes": float("nan")}, "minutes nan"),
         ({"psnr": -1.0}, "psnr -1"),
@@ -203,3 +203,41 @@ def test_a_scene_that_moves_is_prepared_for_all_times(monkeypatch, tmp_path):
     assert 5 < prepared.facts["splat"]["psnr"] < 60
     again = prepare(moving_corner(tmp_path), DRAFT, no_bars, tmp_path / "job")
     assert again.forest.digest() == forest.digest()
+
+
+def test_a_glimpse_is_nobodys_newest_forest(scene):
+    """It is kept in its folder, without a fusion."""
+    prepared = prepare(scene, PreparationSettings(quality="glimpse", held_out=0))
+    assert newest_forest(scene) is None
+    assert load_forest(prepared.facts["forest"]).digest() == prepared.forest.digest()
+    assert fusion_of(prepared.forest) is None
+    assert len(prepared.facts["curve"]) == 1
+
+
+def test_stages_are_told_while_a_forest_is_watched(scene, monkeypatch):
+    """The newest forest is that of the third stage, and then that of the whole preparation."""
+    told: list[Staged] = []
+    stored: list[int] = []
+    monkeypatch.setattr(module, "store_forest", lambda forest, name: stored.append(len(told)))
+    prepare(scene, PreparationSettings(quality="live", held_out=0), told=told.append)
+    assert [(one.number, one.stages) for one in told] == [(1, 3), (2, 3), (3, 3)]
+    # The third stage, which is told after it was stored, and the end.
+    assert stored == [2, 3]
+    assert told[0].seconds < told[1].seconds < told[2].seconds
+    assert all(load_forest(one.forest).scene_hash == scene.hash for one in told)
+    assert 10 < told[0].psnr < told[2].psnr
+
+
+def test_a_preparation_goes_on_from_a_forest(scene, tmp_path, whole):
+    """Its first stage is better than from nothing; resumed without the forest, it is the same."""
+    start = whole[1].forest
+    settings = replace(DRAFT, seed=3)
+    told: list[Staged] = []
+    begun = prepare(scene, settings, no_bars, tmp_path / "begun", start=start, told=told.append)
+    anew: list[Staged] = []
+    prepare(scene, settings, no_bars, tmp_path / "anew", told=anew.append)
+    assert told[0].psnr > anew[0].psnr + 0.3
+    for file in (tmp_path / "begun").glob("*forest*"):
+        file.unlink()
+    again = prepare(scene, settings, no_bars, tmp_path / "begun")
+    assert again.forest.digest() == begun.forest.digest()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hybrid.preparation import preparation, stages
-from hybrid.preparation import stage_planner as planner
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.region import view_selection as selection
@@ -21,8 +22,15 @@ def make_tiny(patch) -> None:
     patch(stages, "STAGES", STAGES)
     patch(stages, "SIDE", 32)
     patch(stages, "_COARSEST", 16)
-    patch(stages, "QUALITIES", {"draft": 2, "standard": 3, "high": 4})
-    patch(planner, "QUALITIES", stages.QUALITIES)
+    more = replace(STAGES[-1], spp=32)
+    qualities = {
+        "glimpse": STAGES[:1],
+        "draft": STAGES[:2],
+        "standard": STAGES,
+        "high": (*STAGES, more),
+        "live": STAGES,
+    }
+    patch(stages, "QUALITIES", qualities)
     patch(preparation, "FUSION_CAPTURE", FUSION)
     # Where viewers may be is small, too.
     patch(selection, "_VIEWERS", 160)

@@ -9,7 +9,7 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.scene.loading import Source, load_mitsuba
-from pathtrace.scene.scene import load_scene
+from pathtrace.scene.scene import files_of_scene, load_scene
 from pathtrace.scene.scene_xml import References, parse_xml, read_description
 from tests.extremes import extreme
 
@@ -334,3 +334,18 @@ def test_names_that_no_file_can_have_are_no_candidates(tmp_path):
     assert references.names == [("n" * 5000, tmp_path)]
     assert not list(references.candidates(*references.names[0]))
     assert fingerprint(file)
+
+
+@pytest.mark.parametrize("name", INDIRECT)
+def test_all_files_of_a_scene_are_known(tmp_path, name):
+    content, files = INDIRECT[name]
+    meshes = [file for file in files if file.endswith("n.obj")] or ["m.obj"]
+    written = {**files, meshes[0]: OBJ.format(0)}
+    source = scene(tmp_path, content, {**written, "unused.obj": OBJ, "scene.motion.json": "{}"})
+    found = {file.resolve() for file in files_of_scene(source)}
+    named = {"scene.xml", "scene.motion.json", *written} - {"sub/x"}
+    assert found == {(tmp_path / one).resolve() for one in named}
+
+
+def test_scene_text_has_no_files():
+    assert files_of_scene(AROUND.format("")) == []

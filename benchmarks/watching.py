@@ -1,0 +1,164 @@
+"""Watches scenes that nothing was prepared for: first frame, rate while learning, and changes of files.
+
+python -m benchmarks.watching SCENE ... [--json FILE]
+
+The first frame is timed from the start of the process, with compiled kernels. What changes is `room`: a
+dimmed lamp, a moved object, another texture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import hybrid
+from compose.eye.gaze import Gaze
+from hybrid.base.progress import no_progress
+from hybrid.preparation.held_out import Judges
+from hybrid.render.frame_settings import INTERACTIVE
+from hybrid.window.frame_source import FrameSource, prepared
+from hybrid.window.learning import ShownScene
+from hybrid.window.messages import Request
+from pathtrace.region.neighbourhood import unseen_views
+from pathtrace.scene.backend import select_backend
+from pathtrace.trace.tracer import Tracer
+
+_SIZE = 640, 480
+# Seconds for which the rate is measured, and for which `room` learns before it changes.
+_RATED, _LEARNT = 20.0, 90.0
+# Views that judge the periphery, and their side in pixels.
+_VIEWS, _SIDE = 4, 128
+# What changes, by name: a text of the scene's file and what it becomes, and the seconds given to learn it.
+_CHANGES = {
+    "lamp dimmed": ('value="6.2, 5.6, 4.7"', 'value="2.5, 2.3, 1.9"', 30.0),
+    "object moved": (
+        '<string name="filename" value="meshes/globe.ply" />',
+        '<string name="filename" value="meshes/globe.ply" />\n'
+        '\t\t<transform name="to_world"><translate x="-0.3" y="0.25" z="0.1" /></transform>',
+        60.0,
+    ),
+    "texture swapped": ("textures/rug.jpg", "textures/stripes.png", 60.0),
+}
+
+
+def _quiet(done: int, total: int, label: str) -> None:
+    """Ignores progress."""
+
+
+def _watch(source: FrameSource, seconds: float, times: list[float] | None = None) -> None:
+    """Shows frames while the gaze moves, as the window does."""
+    camera, end, number = source.camera.resized(*_SIZE), time.perf_counter() + seconds, 0
+    while (start := time.perf_counter()) < end:
+        number += 1
+        source.renew(_quiet)
+        gaze = Gaze(0.5 + 0.3 * math.sin(0.1 * number), 0.5 + 0.3 * math.sin(0.2 * number))
+        source.show(Request(replace(INTERACTIVE, camera=camera, gaze=gaze)), quick=True)
+        if times is not None:
+            times.append(1000 * (time.perf_counter() - start))
+
+
+def _source(scene: str, learns: bool) -> FrameSource:
+    return prepared(ShownScene(scene), None, learns, INTERACTIVE, _quiet)
+
+
+def _first(scene: str) -> None:
+    """What a process does whose first frame is timed."""
+    source = _source(scene, True)
+    source.show(Request(replace(INTERACTIVE, camera=source.camera.resized(*_SIZE))), quick=True)
+    print("shown", flush=True)
+    source.close()
+
+
+def _first_frame_seconds(scene: str) -> float:
+    start = time.perf_counter()
+    words = [sys.executable, "-m", "benchmarks.watching", "--first", scene]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        return time.perf_counter() - start
+
+
+def _rates(scene: str) -> dict[str, float]:
+    """Median milliseconds of frames without learning and beside it."""
+    found = {}
+    for name, learns in (("alone", False), ("learning", True)):
+        source = _source(scene, learns)
+        times: list[float] = []
+        _watch(source, 3.0)
+        _watch(source, _RATED, times)
+        source.close()
+        found[name] = statistics.median(times)
+    return found
+
+
+def _judges(scene: hybrid.Scene, folder: Path) -> Callable[[FrameSource], float]:
+    views = list(unseen_views(scene, _VIEWS, _SIDE, _SIDE))
+    judges = Judges(folder, Tracer(scene), [view.camera for view in views], [0.0] * _VIEWS, no_progress)
+    return lambda source: judges.quality(source.renderer.periphery.forest)["psnr"]
+
+
+def _changes(folder: Path) -> dict[str, dict[str, float]]:
+    """PSNR in dB of the periphery of `room` before changes, just after them, and once they are learnt."""
+    original = Path(hybrid.__file__).parents[1] / "scenes/room"
+    shutil.copytree(original, folder / "room")
+    file, found = folder / "room/room.xml", {}
+    text = file.read_text()
+    judge = _judges(hybrid.load_scene(file), folder / "judges")
+    source = _source(str(file), True)
+    _watch(source, _LEARNT)
+    for number, (name, (old, new, seconds)) in enumerate(_CHANGES.items()):
+        before = judge(source)
+        text = re.sub(re.escape(old), new, text)
+        changed = file.with_name(f"changed-{number}.xml")
+        changed.write_text(text)
+        judge = _judges(hybrid.load_scene(changed), folder / f"judges-{number}")
+        shutil.copyfile(changed, file)
+        start = time.perf_counter()
+        after = judge(source)
+        _watch(source, seconds - (time.perf_counter() - start))
+        found[name] = {"before": before, "unlearnt": after, "seconds": seconds, "learnt": judge(source)}
+    source.close()
+    return found
+
+
+def main() -> None:
+    """Measures, and prints or writes the figures."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("scenes", nargs="*")
+    arguments.add_argument("--first", metavar="SCENE", help=argparse.SUPPRESS)
+    arguments.add_argument("--json", type=Path)
+    given = arguments.parse_args()
+    select_backend()
+    if given.first:
+        return _first(given.first)
+    found: dict[str, Any] = {"first_frame_s": {}, "ms": {}}
+    with tempfile.TemporaryDirectory() as folder:
+        for number, scene in enumerate(given.scenes):
+            os.environ["HYBRID_HOME"] = f"{folder}/{number}"
+            name = Path(scene).parent.name or scene
+            found["first_frame_s"][name] = _first_frame_seconds(scene)
+            found["ms"][name] = _rates(scene)
+        os.environ["HYBRID_HOME"] = f"{folder}/changes"
+        found["changes"] = _changes(Path(folder))
+    text = json.dumps(found, indent=1)
+    if given.json is None:
+        print(text)
+    else:
+        given.json.write_text(text)
+
+
+if __name__ == "__main__":
+    main()

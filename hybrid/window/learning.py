@@ -1,0 +1,222 @@
+"""Goes on preparing a scene while it is watched: in a process of its own, at a lower priority."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO
+
+from compose.base.errors import UserError, one_line
+from hybrid.base.cache_folder import newest_forest, scene_folder
+from hybrid.base.progress import Bar, Bars
+from hybrid.preparation.preparation import Staged, prepare
+from hybrid.preparation.scene_plan import as_planned
+from hybrid.preparation.stages import GLIMPSE, LIVE, PreparationSettings
+from hybrid.window.messages import Newest
+from hybrid.window.scene_watch import SceneWatch
+from pathtrace.scene.backend import select_backend
+from pathtrace.scene.scene import Scene, load_scene
+from splat.io.forest_file import load_forest
+from splat.model.forest import Forest
+
+# Of the process. The window's share of two busy cores is about three quarters.
+_NICENESS = 5
+# Seconds between two lines about the progress, and for which the process may save what it has when it is to
+# end.
+_EVERY, _LAST_SECONDS = 1.0, 20.0
+
+
+@dataclass(frozen=True)
+class ShownScene:
+    """A scene as it is loaded for the window; arguments as in `load_scene` and `select_backend`."""
+
+    source: str
+    thin_glass: bool = False
+    sensor: str | None = None
+    backend: str = "auto"
+
+    def load(self) -> Scene:
+        """Loads it, without a plan."""
+        return load_scene(self.source, thin_glass=self.thin_glass, sensor=self.sensor)
+
+
+def forest_to_show(scene: Scene) -> tuple[Path | None, bool]:
+    """The best forest of a scene that there is, and whether it is still to learn.
+
+    That is the newest one of the cache, else that of a stage of a preparation that was watched.
+    """
+    newest = newest_forest(scene)
+    if newest is not None:
+        return newest, newest.name.startswith(LIVE)
+    folder = scene_folder(scene.name, scene.hash)
+    for kind in (LIVE, GLIMPSE):
+        stages = sorted(folder.glob(f"{kind}-*/stage-*.safetensors"), key=lambda file: file.stat().st_mtime)
+        if stages:
+            return stages[-1], True
+    return None, True
+
+
+class Learner:
+    """A preparation in another process, from a forest if one is given; `say` gets a line about it.
+
+    `forests` has the newest forest, of which better ones follow.
+    """
+
+    def __init__(self, scene: ShownScene, start: Path | None, say: Callable[[str], object]):
+        self.forests: Newest[tuple[Path, Forest]] = Newest()
+        self._say, self._ending = say, False
+        given = json.dumps({**asdict(scene), "start": None if start is None else str(start)})
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", __name__, given],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            # Ctrl-C is for the window, which ends this.
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def stop(self) -> None:
+        """Ends the process; the next one goes on where it was."""
+        self._ending = True
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(_LAST_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._reader.join()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            told = json.loads(line)
+            if "forest" in told and not self._ending:
+                path = Path(told["forest"])
+                self.forests.put((path, load_forest(path)))
+            self._say(told["line"])
+        code = self._process.wait()
+        if code and not self._ending:
+            self._say(f"learning has ended unexpectedly, with code {code}")
+
+
+class Watched:
+    """What becomes of a scene while it is shown: its files change, and its forest learns.
+
+    Args:
+        scene: that is shown.
+        learns: whether a preparation goes on beside it.
+        say: gets a line about either.
+    """
+
+    def __init__(self, scene: ShownScene, learns: bool, say: Callable[[str], object]):
+        self._scene, self._learns, self._say = scene, learns, say
+        self._files = SceneWatch(scene.source)
+        self._learner: Learner | None = None
+
+    def learn(self, start: Path | None) -> None:
+        """Begins to learn the scene as it is now, from the forest in a file."""
+        self.stop()
+        if self._learns:
+            self._learner = Learner(self._scene, start, self._say)
+
+    def learnt(self) -> tuple[Path, Forest] | None:
+        """A better forest and its file, if there is one that was not taken yet."""
+        return None if self._learner is None else self._learner.forests.take()
+
+    def changed(self) -> Scene | None:
+        """The scene if its files have changed; None if they have not, or cannot be read, which is said."""
+        if not self._files.changed():
+            return None
+        try:
+            return self._scene.load()
+        except UserError as error:
+            self._say(f"{one_line(error)}; shown as it was")
+            return None
+
+    def stop(self) -> None:
+        """Ends learning."""
+        if self._learner is not None:
+            self._learner.stop()
+            self._learner = None
+
+
+def _learn(given: dict[str, str | bool | None], tell: Callable[..., None]) -> None:
+    """Prepares a scene as told; the process's whole work."""
+    start = given.pop("start")
+    shown = ShownScene(**given)  # type: ignore[arg-type]
+    select_backend(shown.backend)
+    scene = as_planned(shown.load(), _bars(tell))
+    newest = newest_forest(scene)
+    if newest is not None and not newest.name.startswith(LIVE):
+        return tell("prepared earlier", newest)
+
+    def told(staged: Staged) -> None:
+        took = f"stage {staged.number} of {staged.stages}, {staged.seconds:.0f} s"
+        tell(f"learnt: {staged.psnr:.1f} dB in training frames after {took}", staged.forest)
+
+    forest = None if start is None else load_forest(str(start))
+    settings = PreparationSettings(quality=LIVE, held_out=0)
+    prepared = prepare(scene, settings, _bars(tell), start=forest, told=told)
+    tell("all stages are learnt", Path(prepared.facts["forest"]))
+
+
+def _bars(tell: Callable[..., None]) -> Bars:
+    return lambda title: _lines(title, tell)
+
+
+@contextmanager
+def _lines(title: str, tell: Callable[..., None]) -> Iterator[Bar]:
+    """A bar that tells a line from time to time."""
+    told = time.monotonic()
+
+    def bar(done: int, total: int, step: str = "") -> None:
+        nonlocal told
+        if time.monotonic() - told > _EVERY:
+            told = time.monotonic()
+            tell(f"learning: {title.split(' (')[0]} {done / max(total, 1):.0%}")
+
+    yield bar
+
+
+def _interrupt_with(stream: IO[str]) -> None:
+    """Interrupts this process as Ctrl-C does once the other end of a stream is closed."""
+    stream.read()
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def _main() -> None:
+    """Of the process; its lines are JSON with `line`, for people, and `forest`, a file."""
+    os.nice(_NICENESS)
+    logging.basicConfig(level=logging.ERROR)
+    # What libraries print must not mix with the lines.
+    out = os.fdopen(os.dup(sys.stdout.fileno()), "w", buffering=1)
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()
+
+    def tell(line: str, forest: Path | None = None) -> None:
+        told = {"line": line} | ({} if forest is None else {"forest": str(forest)})
+        out.write(json.dumps(told) + "\n")
+
+    try:
+        _learn(json.loads(sys.argv[1]), tell)
+    except UserError as error:
+        tell(f"learning has ended: {one_line(error)}")
+    except KeyboardInterrupt:
+        pass
+
+
+if __name__ == "__main__":
+    _main()

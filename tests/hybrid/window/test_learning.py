@@ -1,0 +1,222 @@
+"""What is learnt beside the window, in this process and in one of its own, and what of it is shown."""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from compose.eye.gaze import Gaze
+from hybrid.base.cache_folder import newest_forest, store_forest
+from hybrid.preparation.preparation import prepare
+from hybrid.preparation.scene_plan import planned_scene, scene_as_stored
+from hybrid.preparation.stages import PreparationSettings
+from hybrid.render.frame_renderer import LiveRenderer
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.window import learning, scene_watch
+from hybrid.window.frame_source import FrameSource, prepared
+from hybrid.window.learning import Learner, ShownScene, Watched, forest_to_show
+from hybrid.window.messages import Request
+from pathtrace.scene.scene import bundled_scenes, load_scene
+from splat.io.forest_file import load_forest
+from splat.model.forest import Forest
+from splat.model.gaussians import SH_DC
+from tests.hybrid.preparation.tiny import make_tiny
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+CORNELL = ShownScene("cornell")
+# Seconds within which a process has begun and ended, on any machine.
+PATIENCE = 120
+
+
+class Said:
+    """Lines that were said; `heard` is set with the first one."""
+
+    def __init__(self):
+        self.lines: list[str] = []
+        self.heard = threading.Event()
+
+    def __call__(self, line: str) -> None:
+        self.lines.append(line)
+        self.heard.set()
+
+
+def quiet(done: int, total: int, label: str) -> None:
+    """Ignores progress."""
+
+
+def learn(start: Path | None) -> list[tuple[str, Path | None]]:
+    """What the process tells that learns the Cornell box, without those about its progress."""
+    told: list[tuple[str, Path | None]] = []
+    given = {"source": "cornell", "thin_glass": False, "sensor": None, "backend": "auto"}
+    learning._learn(
+        {**given, "start": None if start is None else str(start)},
+        lambda line, forest=None: told.append((line, forest)),
+    )
+    return [one for one in told if not one[0].startswith("learning: ")]
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    make_tiny(monkeypatch.setattr)
+
+
+def test_each_stage_is_told_with_its_forest(tiny):
+    told = learn(None)
+    assert [line.split(", ")[0].split("frames ")[-1] for line, _ in told] == [
+        "after stage 1 of 3",
+        "after stage 2 of 3",
+        "after stage 3 of 3",
+        "all stages are learnt",
+    ]
+    forests = [load_forest(path) for _, path in told]
+    # What follows the last stage changes no Gaussian.
+    assert len({forest.digest() for forest in forests}) == 3
+    assert newest_forest(planned_scene("cornell")).name.startswith("live-")
+
+
+def test_what_was_learnt_goes_on_or_is_told_again(tiny):
+    *_, (_, last) = learn(None)
+    assert forest_to_show(planned_scene("cornell")) == (newest_forest(planned_scene("cornell")), True)
+    assert [path for _, path in learn(None)] == [last]
+
+
+def test_a_forest_that_was_prepared_is_told_instead_of_another(tiny):
+    scene = planned_scene("cornell")
+    forest = prepare(scene, PreparationSettings(quality="draft", held_out=0)).forest
+    store_forest(forest, "mine")
+    assert learn(None) == [("prepared earlier", newest_forest(scene))]
+    assert forest_to_show(scene) == (newest_forest(scene), False)
+
+
+def test_before_anything_is_stored_the_last_stage_is_shown(tiny):
+    scene = load_scene("cornell")
+    assert forest_to_show(scene) == (None, True)
+    glimpse = prepare(scene, PreparationSettings(quality="glimpse", held_out=0))
+    path, learns = forest_to_show(scene)
+    assert learns
+    assert path is not None
+    assert path.parent == Path(glimpse.facts["forest"]).parent
+
+
+def test_a_process_says_why_it_has_ended():
+    said = Said()
+    learner = Learner(ShownScene("no-such-scene"), None, said)
+    assert said.heard.wait(PATIENCE)
+    learner.stop()
+    assert said.lines[0].startswith("learning has ended: no-such-scene: no such scene")
+    assert learner.forests.take() is None
+
+
+def test_a_process_ends_with_the_window():
+    said = Said()
+    learner = Learner(CORNELL, None, said)
+    assert said.heard.wait(PATIENCE)
+    learner.stop()
+    assert not any("unexpectedly" in line for line in said.lines)
+    with pytest.raises(ProcessLookupError):
+        os.kill(learner._process.pid, 0)
+
+
+class FakeWatched(Watched):
+    """Something that changes and learns when it is told to."""
+
+    def __init__(self):
+        self.forests, self.scenes, self.starts = [], [], []
+
+    def learnt(self):
+        return self.forests.pop() if self.forests else None
+
+    def changed(self):
+        return self.scenes.pop() if self.scenes else None
+
+    def learn(self, start):
+        self.starts.append(start)
+
+
+@pytest.fixture
+def own_source(made):
+    forest = load_forest(made / "box.forest")
+    watched = FakeWatched()
+    return FrameSource(LiveRenderer(planned_scene("cornell"), forest), watched, made / "box.forest"), watched
+
+
+def darkened(forest: Forest) -> Forest:
+    """A forest without light: perceptual radiance is stored minus 0.5."""
+    sh = torch.zeros_like(forest.nodes.gaussians.sh)
+    sh[0] = -0.5 / SH_DC
+    dark = replace(forest.nodes.gaussians, sh=sh, directional=None)
+    return replace(forest, nodes=replace(forest.nodes, gaussians=dark))
+
+
+def asked(source: FrameSource) -> Request:
+    settings = FrameSettings(Gaze(0.4, 0.5), 20.0, 15.0, 1, camera=source.camera.resized(96, 64))
+    return Request(replace(settings, fovea="raw"))
+
+
+def test_a_better_forest_is_shown_from_the_next_frame_on(own_source):
+    source, watched = own_source
+    assert not source.renew(quiet)
+    source.show(asked(source), quick=True)
+    forest, splats = source.renderer.periphery.forest, source.renderer.splats(asked(source).settings)
+    watched.forests.append((Path("next.safetensors"), darkened(forest)))
+    assert source.renew(quiet)
+    after = source.show(asked(source), quick=True)
+    assert source.renderer.splats(asked(source).settings).mean() < 0.5 * splats.mean()
+    # The disc begins anew.
+    assert after.spp == 1
+
+
+def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, made, tmp_path):
+    """Its disc is that of the scene as it is now; the old forest is learnt further, then shown."""
+    source, watched = own_source
+    before = source.show(asked(source), quick=True)
+    splats = source.renderer.splats(asked(source).settings)
+    file = tmp_path / "cornell" / "scene.xml"
+    file.parent.mkdir()
+    file.write_text(bundled_scenes()["cornell"].read_text().replace('"30, 26, 18"', '"3, 2.6, 1.8"'))
+    changed = load_scene(file)
+    watched.scenes.append(changed)
+    assert source.renew(quiet)
+    after = source.show(asked(source), quick=True)
+    assert source.renderer.scene.own_hash == changed.own_hash
+    # As the scene before was planned; its plan is now that of this one.
+    assert source.renderer.scene.plan == scene_as_stored(file).plan != {}
+    np.testing.assert_allclose(source.renderer.splats(asked(source).settings), splats, atol=1e-6)
+    disc = [np.mean(shown.frame.fovea.radiance) for shown in (before, after)]
+    assert 0.05 < disc[1] / disc[0] < 0.2
+    assert watched.starts == [made / "box.forest"]
+    learnt = replace(darkened(source.renderer.periphery.forest), scene_hash=source.renderer.scene.hash)
+    watched.forests.append((Path("next.safetensors"), learnt))
+    assert source.renew(quiet)
+    assert source.renderer.splats(asked(source).settings).mean() < 0.5 * splats.mean()
+
+
+def test_a_scene_that_cannot_be_read_stays_as_it_was(tmp_path, monkeypatch):
+    file = tmp_path / "scene.xml"
+    file.write_text(bundled_scenes()["cornell"].read_text())
+    monkeypatch.setattr(scene_watch, "_EVERY", 0.0)
+    said = Said()
+    watched = Watched(ShownScene(str(file)), False, said)
+    assert watched.changed() is None
+    file.write_text(bundled_scenes()["cornell"].read_text().replace("emitter", "light"))
+    assert [watched.changed() for _ in range(2)] == [None, None]
+    assert said.lines
+    assert said.lines[0].endswith("; shown as it was")
+    file.write_text(bundled_scenes()["cornell"].read_text() + "\n")
+    assert [watched.changed() is not None for _ in range(2)] == [False, True]
+
+
+def test_a_glimpse_is_shown_where_there_is_no_forest(tiny):
+    """It is that of the scene without a plan, for which there is no time."""
+    source = prepared(CORNELL, None, False, FrameSettings(fovea="raw"), quiet)
+    assert source.layers == 1
+    path, learns = forest_to_show(load_scene("cornell"))
+    assert learns
+    assert load_forest(path).digest() == source.renderer.periphery.forest.digest()
+    source.close()
