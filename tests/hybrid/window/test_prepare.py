@@ -6,6 +6,7 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.base.cache_folder import store_forest
+from hybrid.preparation.scene_plan import planned_scene
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.window import frame_source as prepare
 from hybrid.window.frame_source import prepared
@@ -39,6 +40,8 @@ def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
 
 
 def test_the_newest_forest_of_the_scene_is_used(made):
+    # Which stores its plan, as a preparation does.
+    planned_scene("cornell")
     store_forest(load_forest(made / "box.forest"), "box")
     source = prepared(ShownScene("cornell"), None, False, RAW, silent)
     assert source.renderer.periphery.forest.digest() == load_forest(made / "box.forest").digest()
