@@ -70,7 +70,9 @@ def demo(
     ] = 0.0,
     browser: Annotated[
         bool,
-        typer.Option("--browser", help="Serve the window to a browser on this machine instead of opening it."),
+        typer.Option(
+            "--browser", help="Serve the window to a browser on this machine instead of opening it."
+        ),
     ] = False,
     port: Annotated[
         int | None,

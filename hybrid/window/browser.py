@@ -129,7 +129,7 @@ class _Pages:
 
     async def _read(self, connection: ServerConnection, session: PageSession) -> None:
         async for message in connection:
-            self._shell.receive(session, message if isinstance(message, str) else "")
+            self._shell.receive(session, message)
 
 
 async def _send(connection: ServerConnection, message: dict[str, Any], picture: bytes) -> None:

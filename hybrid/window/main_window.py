@@ -48,12 +48,13 @@ class MainWindow(QMainWindow):
     """Shows one scene.
 
     Attributes:
+        viewer: what is shown, and gets all events.
         panel, dock: the controls; None until the scene is loaded.
     """
 
     def __init__(self, viewer: Viewer):
         super().__init__()
-        self._viewer, self._posted = viewer, _Posted()
+        self.viewer, self._posted = viewer, _Posted()
         self.canvas = Canvas(QSize(*viewer.options.size))
         self.panel: Panel | None = None
         self.dock: QDockWidget | None = None
@@ -76,7 +77,7 @@ class MainWindow(QMainWindow):
 
     def refresh(self) -> None:
         """Shows texts, progress and controls as they are now."""
-        viewer = self._viewer
+        viewer = self.viewer
         self.setWindowTitle(viewer.title)
         self.canvas.write(viewer.hud, viewer.overlay, viewer.shows(Command.RING))
         if self.statusBar().currentMessage() != viewer.line:
@@ -102,7 +103,7 @@ class MainWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         self._timer.stop()
-        self._viewer.close()
+        self.viewer.close()
         event.accept()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
@@ -127,22 +128,22 @@ class MainWindow(QMainWindow):
             self._handle({"type": "blur"})
 
     def _handle(self, event: dict[str, object]) -> None:
-        self._viewer.handle(event)
+        self.viewer.handle(event)
         self._wait()
 
     def _choose(self, name: str, value: int) -> None:
         self._handle({"type": "control", "name": name, "value": value})
 
     def _tick(self) -> None:
-        if self._viewer.mouse_moves and self._viewer.bench is not None:
-            move_mouse(self, self._viewer.bench.gaze(time.perf_counter()))
-        self._viewer.tick()
+        if self.viewer.mouse_moves and self.viewer.bench is not None:
+            move_mouse(self, self.viewer.bench.gaze(time.perf_counter()))
+        self.viewer.tick()
         self._wait()
 
     @property
     def _interval(self) -> int:
         """Milliseconds until the next tick."""
-        return round(1000 * self._viewer.interval)
+        return round(1000 * self.viewer.interval)
 
     def _wait(self) -> None:
         """Has the next tick come in time; starts no timer anew that would come anyway."""

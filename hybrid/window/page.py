@@ -59,7 +59,9 @@ def encoded(image: NDArray[np.uint8], quality: int | None) -> bytes:
     if quality is None:
         picture.save(out, "PNG", compress_level=1)
     else:
-        picture.save(out, "JPEG", quality=quality, subsampling="4:2:0" if quality < _STILL_QUALITY else "4:4:4")
+        picture.save(
+            out, "JPEG", quality=quality, subsampling="4:2:0" if quality < _STILL_QUALITY else "4:4:4"
+        )
     return out.getvalue()
 
 
@@ -103,9 +105,8 @@ class PageSession:
         """Sends what has changed of the state."""
         self._news.set()
 
-    def receive(self, text: str) -> None:
+    def receive(self, message: object) -> None:
         """Takes a message of the page; ValueError, and nothing has changed, if it makes no sense."""
-        message = parse_json(text)
         if not isinstance(message, dict):
             raise ValueError("a message must be an object")
         at = self._time_of(message.get("timestamp"))
@@ -163,11 +164,12 @@ class PageSession:
     def _on_shown(self, frame: object, at: float | None) -> None:
         if type(frame) is not int or at is None:
             raise ValueError(f"shown: frame {frame!r} at {at!r}")
+        shown = self._on_their_way.get(frame)
         # Older ones were drawn over.
         for number in [number for number in self._on_their_way if number <= frame]:
-            shown = self._on_their_way.pop(number)
-            if shown is not None:
-                self._viewer.painted(shown, at)
+            del self._on_their_way[number]
+        if shown is not None:
+            self._viewer.painted(shown, at)
         self._wake()
         self._viewer.tick()
 
@@ -232,12 +234,12 @@ class PageShell:
         self._ticked.set()
         return self._session
 
-    def receive(self, session: PageSession, text: str) -> None:
-        """Takes a message of a session's page, if that is the one that is connected and it makes sense."""
+    def receive(self, session: PageSession, message: object) -> None:
+        """Takes a message, JSON or what that says, of the session that is connected, if it makes sense."""
         if session is not self._session:
             return
         try:
-            session.receive(text)
+            session.receive(parse_json(message) if isinstance(message, str | bytes) else message)
         except ValueError as error:
             _LOG.info("the page sent what makes no sense: %s", one_line(error))
         self._ticked.set()

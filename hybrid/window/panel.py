@@ -5,7 +5,16 @@ from __future__ import annotations
 from functools import partial
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QDockWidget, QFormLayout, QLabel, QScrollArea, QSlider, QWidget
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDockWidget,
+    QFormLayout,
+    QLabel,
+    QScrollArea,
+    QSlider,
+    QWidget,
+)
 
 from hybrid.window.controls import Control, Controls
 
@@ -32,7 +41,8 @@ class Panel(QWidget):
             self.widgets[control.name] = widget = self._widget(control)
             self._labels[control.name] = label = QLabel()
             form.addRow(label, widget)
-            # Keys belong to the frame: a control with the focus would react to arrows and letters.
+        # Keys belong to the frame: a control with the focus would react to arrows and letters.
+        for widget in self.findChildren(QWidget):
             widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._seen: dict[str, int] = {}
         self.refresh()

@@ -59,7 +59,7 @@ class RenderThread:
         self._prepare = prepare
         self._screenshots: Newest[Path] = Newest()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="render")
+        self._thread = threading.Thread(target=self._run, name="render", daemon=True)
 
     def start(self, listener: Listener, post: Post) -> None:
         """Prepares and renders from now on; the listener hears of it through `post`."""

@@ -307,9 +307,7 @@ class Viewer:
 
     def _on_resize(self, event: Event, at: float | None) -> None:
         canvas = _number(event, "width", 1), _number(event, "height", 1)
-        width, height = (
-            _number(event, name, _LEAST_SIDE, _MOST_SIDE) for name in ("pwidth", "pheight")
-        )
+        width, height = (_number(event, name, _LEAST_SIDE, _MOST_SIDE) for name in ("pwidth", "pheight"))
         self._canvas, self.pixels = canvas, (round(width), round(height))
         self._settles = time.perf_counter() + _SETTLE if self.pixels != self._size else math.inf
 
