@@ -176,6 +176,7 @@ def test_a_still_view_ends_in_a_lossless_picture(run, monkeypatch):
         first, last = (Image.open(io.BytesIO(one)) for one in page.pictures)
         assert (first.format, last.format) == ("JPEG", "PNG")
         assert (np.asarray(last) == noise).all()
+        page.say("shown", frame=1)
         page.say("shown", frame=2)
         await page.settled()
         # Once is enough, and it counts as one frame.
@@ -212,7 +213,7 @@ def test_only_what_has_changed_of_the_state_is_sent(run):
         page.viewer.say("")
         await page.until(lambda: page.state["line"].startswith("learning"))
         page.viewer.on_progress("stage 1", 2, 5)
-        await page.until(lambda: page.state["progress"] == ("stage 1", 2, 5))
+        await page.until(lambda: page.state.get("progress") == ("stage 1", 2, 5))
 
     run(test)
 
