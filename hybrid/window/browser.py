@@ -7,6 +7,7 @@ import json
 import logging
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from typing import Any
@@ -23,6 +24,8 @@ from hybrid.window.viewer import Viewer
 
 # With which a connection is closed when another page takes over.
 _TAKEN_OVER = 4001
+# Seconds in which pages may say goodbye.
+_PARTING = 0.5
 # Browsers connect ahead and leave without a request, which is no error.
 _quiet = logging.getLogger("hybrid.window.connections")
 _quiet.setLevel(logging.CRITICAL)
@@ -70,9 +73,14 @@ async def _serve(viewer: Viewer, announce: Callable[[str], object], port: int) -
         server = await serving
     except (OSError, OverflowError) as error:
         raise UserError(f"port {port}: cannot be served ({one_line(error)})") from error
-    async with server:
+    try:
         announce(visitors.address(server.sockets[0].getsockname()[1]))
         await shell.run()
+    finally:
+        server.close()
+        # Connections that a browser made ahead and never used are not waited for.
+        with suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(server.wait_closed(), _PARTING)
 
 
 def _answer(visitors: Visitors, connection: ServerConnection, request: Request) -> Response | None:

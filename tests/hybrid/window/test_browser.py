@@ -160,8 +160,8 @@ def test_only_who_knows_the_token_gets_anything(served):
             status, _, content = served.get(path, query)
             assert status == 403
             assert b"hybrid" not in content.replace(b"hybrid demo", b"")
-        with pytest.raises(InvalidStatus, match="403"):
-            served.connect(query)
+        with pytest.raises(InvalidStatus, match="403"), served.connect(query):
+            pass
 
 
 def test_other_sites_get_nothing(served):
@@ -169,13 +169,14 @@ def test_other_sites_get_nothing(served):
     assert served.get(Host=f"localhost:{served.port}", Origin=good)[0] == 200
     for host in ("example.com", f"example.com:{served.port}", "127.0.0.1", f"127.0.0.1:{served.port + 1}"):
         assert served.get(Host=host)[0] == 403
-        with pytest.raises(InvalidStatus, match="403"):
-            served.connect(host=host)
+        with pytest.raises(InvalidStatus, match="403"), served.connect(host=host):
+            pass
     for origin in ("http://example.com", "null", "", good + "0", f"https://127.0.0.1:{served.port}"):
         assert served.get(Origin=origin)[0] == 403
-        with pytest.raises(InvalidStatus, match="403"):
-            served.connect(Origin=origin)
-    served.connect(Origin=good).close()
+        with pytest.raises(InvalidStatus, match="403"), served.connect(Origin=origin):
+            pass
+    with served.connect(Origin=good) as page:
+        received(page, "frame")
 
 
 def test_what_makes_no_sense_and_what_is_too_large_harms_nobody(served):
@@ -304,7 +305,8 @@ def test_the_window_in_chromium(browser, served):
     assert browser.execute_script("return document.querySelector('.panel').textContent.includes('samples 3')")
     move(browser, 0.3, 0.5)
     until(browser, lambda: is_at(browser, 0.3, 0.5))
-    assert not [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE" and "favicon" not in entry["message"]]
+    severe = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not [message for message in severe if "favicon" not in message]
 
 
 def test_a_page_connects_again_by_itself(browser, served):
