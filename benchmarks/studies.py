@@ -84,7 +84,7 @@ def take_part_in_window(session: StudySession) -> None:
 
 
 @contextmanager
-def _chromium() -> Iterator[Any]:
+def chromium() -> Iterator[Any]:
     """A browser without a window and without habits of its own."""
     from selenium import webdriver
 
@@ -111,7 +111,7 @@ def take_part_in_browser(session: StudySession) -> None:
     announced: queue.Queue[str] = queue.Queue()
     served = threading.Thread(target=serve_study, args=(session, announced.put), daemon=True)
     served.start()
-    with _chromium() as browser:
+    with chromium() as browser:
         browser.get(announced.get())
         while served.is_alive():
             # Seldom, so that asking takes no time from the page.

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from hybrid.render.frame_renderer import Renderer as Renderer
     from hybrid.render.frame_settings import FrameSettings as FrameSettings
     from hybrid.render.splat_renderer import SplatRenderer as SplatRenderer
+    from hybrid.window.notebook import show as show
     from pathtrace.dataset.frame_set import CaptureSettings as CaptureSettings
     from pathtrace.dataset.frame_set import FrameSet as FrameSet
     from pathtrace.scene.backend import select_backend as select_backend
@@ -57,6 +58,7 @@ _NAMES = {
     "hybrid.render.frame_renderer": "Renderer",
     "hybrid.render.frame_settings": "FrameSettings",
     "hybrid.render.splat_renderer": "SplatRenderer",
+    "hybrid.window.notebook": "show",
     "pathtrace.dataset.frame_set": "CaptureSettings FrameSet",
     "pathtrace.scene.backend": "select_backend",
     "pathtrace.scene.scene": "Scene",

@@ -1,4 +1,4 @@
-"""`hybrid demo`: the window."""
+"""`hybrid demo`: the window, of Qt or in a browser."""
 
 from __future__ import annotations
 
@@ -68,6 +68,16 @@ def demo(
             callback=o.finite,
         ),
     ] = 0.0,
+    browser: Annotated[
+        bool,
+        typer.Option(
+            "--browser", help="Serve the window to a browser on this machine instead of opening it."
+        ),
+    ] = False,
+    port: Annotated[
+        int | None,
+        typer.Option(help="Port for the browser. Default: a free one.", min=1, max=65535),
+    ] = None,
     display: o.DisplayName = "desktop",
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
@@ -102,13 +112,24 @@ def demo(
         trace = simulated(settings.display, *size, _SIMULATED, seed)
     elif gaze_trace is not None:
         trace = load_gaze_trace(gaze_trace).on(settings.display, *size)
-    from hybrid.window.qt_check import require_window
+    from hybrid.window.qt_check import window_problem
 
-    require_window()
-    from hybrid.window.application import WindowOptions, run_window
+    why = None if browser or port is not None else window_problem()
+    if why is not None:
+        print(f"in a browser, since {why}", flush=True)
+    from hybrid.window.viewer import WindowOptions, viewer_of
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
-    found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass, sensor)
+    viewer = viewer_of(scene, forest, backend, settings, trace, options, thin_glass, sensor)
+    if browser or port is not None or why is not None:
+        from hybrid.window.browser import serve_window
+
+        serve_window(viewer, lambda address: print(f"open {address}", flush=True), port or 0)
+    else:
+        from hybrid.window.main_window import run_window
+
+        run_window(viewer)
+    found, summary = viewer.measured()
     o.write_json(json_file, found)
     if bench is not None:
         print(summary)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import secrets
 import sys
 import threading
 from collections.abc import Callable
@@ -14,19 +13,12 @@ from typing import Any, cast
 
 from compose.base.errors import UserError, file_inside, one_line
 from compose.base.files import parse_json
+from hybrid.base.loopback import ADDRESS, HEADERS, Visitors
 from hybrid.study.session import StudySession
 
 # Of a reply: far more than the pointer's positions in a trial of minutes take.
 _MOST_BYTES = 1 << 23
 _FRAME = re.compile(r"/clips/(\w[\w.-]*/[0-9]{6}\.png)", re.ASCII)
-# The page loads nothing from elsewhere, and tells nobody its address, which holds the token.
-_HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "connect-src 'self'; form-action 'none'; frame-ancestors 'none'; base-uri 'none'",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
 def serve_study(session: StudySession, announce: Callable[[str], object], port: int = 0) -> None:
@@ -46,7 +38,7 @@ def serve_study(session: StudySession, announce: Callable[[str], object], port: 
     except (OSError, OverflowError) as error:
         raise UserError(f"port {port}: cannot be served ({one_line(error)})") from error
     with server:
-        announce(f"http://127.0.0.1:{server.server_port}/?{server.query}")
+        announce(server.visitors.address(server.server_port))
         server.serve_forever(poll_interval=0.1)
     if server.failure is not None:
         raise server.failure
@@ -54,10 +46,10 @@ def serve_study(session: StudySession, announce: Callable[[str], object], port: 
 
 class _Server(ThreadingHTTPServer):
     def __init__(self, session: StudySession, port: int):
-        super().__init__(("127.0.0.1", port), _Handler)
+        super().__init__((ADDRESS, port), _Handler)
         self.session = session
         self.lock = threading.Lock()
-        self.query = f"token={secrets.token_urlsafe()}"
+        self.visitors = Visitors()
         self.page = Path(__file__).with_name("study.html").read_bytes()
         self.failure: BaseException | None = None
 
@@ -111,14 +103,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_step(step)
 
     def _path(self) -> str | None:
-        """The path asked for; None, after an answer of 403, if it is not the page that asks.
-
-        The page knows the token, and its address has no other site's name that was made to mean this machine.
-        """
+        """The path asked for; None, after an answer of 403, if it is not the page that asks."""
         path, _, query = self.path.partition("?")
-        hosts = [f"{name}:{self._study.server_port}" for name in ("127.0.0.1", "localhost")]
-        known = secrets.compare_digest(query.encode(), self._study.query.encode())
-        if known and self.headers.get("Host") in hosts:
+        headers, port = self.headers, self._study.server_port
+        if self._study.visitors.admits(query, headers.get("Host"), headers.get("Origin"), port):
             return path
         self._refuse(403, "open the address that the study printed")
         return None
@@ -157,7 +145,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, status: int, content: bytes, content_type: str) -> None:
         self.send_response(status)
-        for name, value in (*_HEADERS.items(), ("Content-Type", content_type)):
+        for name, value in (*HEADERS.items(), ("Content-Type", content_type)):
             self.send_header(name, value)
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()

@@ -1,4 +1,4 @@
-"""The part of the window that shows the frame, and knows where the mouse is on it."""
+"""The part of Qt's window that shows the frame."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from PySide6.QtWidgets import QWidget
 
 from compose.eye.gaze import Gaze
 from hybrid.window.messages import ShownFrame
+from hybrid.window.viewer import fitted
 
 _SHADE = QColor(0, 0, 0, 150)
 _MARGIN = 8
@@ -16,13 +17,10 @@ _MARGIN = 8
 class Canvas(QWidget):
     """Shows frames in their own proportions, as large as they fit, with lines of text over them."""
 
-    # Gaze: the mouse has moved there.
-    gazed = Signal(object)
-    # The mouse was dragged to the right and down, in heights of this widget.
-    dragged = Signal(float, float)
+    # An event of hybrid.window.viewer: of the mouse, or a new size.
+    happened = Signal(object)
     # Shown: the newest frame is on the screen.
     painted = Signal(object)
-    resized = Signal()
 
     def __init__(self, size: QSize):
         """A canvas that would like to have a size in pixels of the screen."""
@@ -31,7 +29,6 @@ class Canvas(QWidget):
         self._shown: ShownFrame | None = None
         self._image: QImage | None = None
         self._fresh = False
-        self._held: QPointF | None = None
         self._hud: list[str] = []
         self._overlay: list[str] = []
         self._ring = True
@@ -42,12 +39,6 @@ class Canvas(QWidget):
     def sizeHint(self) -> QSize:  # noqa: N802
         return self._hint / self.devicePixelRatioF()
 
-    @property
-    def pixels(self) -> tuple[int, int]:
-        """Width and height in pixels of the screen, of which a scaled screen has several to one of Qt's."""
-        ratio = self.devicePixelRatioF()
-        return round(self.width() * ratio), round(self.height() * ratio)
-
     def show_frame(self, shown: ShownFrame) -> None:
         """Shows a frame as soon as Qt paints next."""
         height, width = shown.image.shape[:2]
@@ -57,58 +48,48 @@ class Canvas(QWidget):
         self._fresh = True
         self.update()
 
-    def write(self, hud: list[str], overlay: list[str]) -> None:
-        """Shows lines in the upper left corner, and lines in the middle."""
-        if (hud, overlay) != (self._hud, self._overlay):
-            self._hud, self._overlay = hud, overlay
+    def write(self, hud: list[str], overlay: list[str], ring: bool) -> None:
+        """Shows lines in the upper left corner, lines in the middle, and the ring around the disc."""
+        if (hud, overlay, ring) != (self._hud, self._overlay, self._ring):
+            self._hud, self._overlay, self._ring = hud, overlay, ring
             self.update()
 
-    def toggle_ring(self) -> None:
-        """Shows or hides the ring around the disc."""
-        self._ring = not self._ring
-        self.update()
+    def point_of(self, gaze: Gaze) -> QPointF:
+        """The point of this widget at a gaze."""
+        frame = self._frame_rectangle()
+        return QPointF(frame.x() + gaze.x * frame.width(), frame.y() + gaze.y * frame.height())
 
-    def frame_rectangle(self) -> QRectF:
+    def _frame_rectangle(self) -> QRectF:
         """Where the frame is in this widget."""
         if self._image is None:
             return QRectF(self.rect())
-        scale = min(self.width() / self._image.width(), self.height() / self._image.height())
-        width, height = scale * self._image.width(), scale * self._image.height()
-        return QRectF((self.width() - width) / 2, (self.height() - height) / 2, width, height)
-
-    def gaze_of(self, point: QPointF) -> Gaze:
-        """The gaze at a point of this widget; outside the frame, the nearest one on its edge."""
-        frame = self.frame_rectangle()
-        x, y = (point.x() - frame.x()) / frame.width(), (point.y() - frame.y()) / frame.height()
-        return Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0))
-
-    def point_of(self, gaze: Gaze) -> QPointF:
-        """The point of this widget at a gaze; inverse of `gaze_of`."""
-        frame = self.frame_rectangle()
-        return QPointF(frame.x() + gaze.x * frame.width(), frame.y() + gaze.y * frame.height())
+        size = self._image.width(), self._image.height()
+        return QRectF(*fitted((self.width(), self.height()), size))
 
     def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._held = event.position()
+        self._report("pointer_down", event)
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        if event.button() == Qt.MouseButton.LeftButton:
-            self._held = None
+        self._report("pointer_up", event)
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        point = event.position()
-        if self._held is not None:
-            way, self._held = point - self._held, point
-            self.dragged.emit(way.x() / self.height(), way.y() / self.height())
-        self.gazed.emit(self.gaze_of(point))
+        self._report("pointer_move", event)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        self.resized.emit()
+        # A scaled screen has several pixels to one of Qt's.
+        ratio, width, height = self.devicePixelRatioF(), self.width(), self.height()
+        pixels = {"pwidth": round(width * ratio), "pheight": round(height * ratio)}
+        self.happened.emit({"type": "resize", "width": width, "height": height, **pixels})
+
+    def _report(self, kind: str, event: QMouseEvent) -> None:
+        button = 1 if event.button() == Qt.MouseButton.LeftButton else 0
+        point = event.position()
+        self.happened.emit({"type": kind, "x": point.x(), "y": point.y(), "button": button})
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
         painter = QPainter(self)
         painter.fillRect(self.rect(), Qt.GlobalColor.black)
-        frame = self.frame_rectangle()
+        frame = self._frame_rectangle()
         if self._image is not None and self._shown is not None:
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
             painter.drawImage(frame, self._image)

@@ -1,26 +1,19 @@
-"""Keys of the window: what each one does, and walking while some of them are held."""
+"""Keys of the window: what each one does, and walking while some of them are held.
+
+Keys have the names that browsers give them (`KeyboardEvent.key`), letters in lower case.
+"""
 
 from __future__ import annotations
 
 from enum import Enum
 
-from PySide6.QtCore import Qt
-
 from hybrid.window.messages import ShownView
 from hybrid.window.navigation import Walker
 
-_Key = Qt.Key
 # Right, down and forward.
-_WALK = {
-    _Key.Key_W: (0, 0, 1),
-    _Key.Key_S: (0, 0, -1),
-    _Key.Key_A: (-1, 0, 0),
-    _Key.Key_D: (1, 0, 0),
-    _Key.Key_Q: (0, 1, 0),
-    _Key.Key_E: (0, -1, 0),
-}
+_WALK = {"w": (0, 0, 1), "s": (0, 0, -1), "a": (-1, 0, 0), "d": (1, 0, 0), "q": (0, 1, 0), "e": (0, -1, 0)}
 # Right and down.
-_LOOK = {_Key.Key_Left: (-1, 0), _Key.Key_Right: (1, 0), _Key.Key_Up: (0, -1), _Key.Key_Down: (0, 1)}
+_LOOK = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 # Walking speed in median distances per second, and turning speed in degrees per second.
 _PACE, _TURN = 0.3, 60.0
 
@@ -38,22 +31,24 @@ class Command(Enum):
     CONTROLS = "controls"
     FULL_SCREEN = "full screen"
     HELP = "this help"
-    LEAVE = "leave full screen, or close the window"
+    LEAVE = "leave full screen; if not in a browser, close the window"
 
 
-COMMANDS: dict[int, Command | ShownView] = {
-    _Key.Key_Space: Command.HOLD,
-    _Key.Key_R: Command.HOME,
-    **{_Key(_Key.Key_1 + number): view for number, view in enumerate(ShownView)},
-    _Key.Key_P: Command.SAVE,
-    _Key.Key_T: Command.RECORD,
-    _Key.Key_M: Command.PLAY,
-    _Key.Key_G: Command.RING,
-    _Key.Key_H: Command.HUD,
-    _Key.Key_Tab: Command.CONTROLS,
-    _Key.Key_F: Command.FULL_SCREEN,
-    _Key.Key_F1: Command.HELP,
-    _Key.Key_Escape: Command.LEAVE,
+# What a window has whose frames are anywhere is up to the shell.
+OF_THE_SHELL = (Command.FULL_SCREEN, Command.LEAVE)
+COMMANDS: dict[str, Command | ShownView] = {
+    " ": Command.HOLD,
+    "r": Command.HOME,
+    **{str(1 + number): view for number, view in enumerate(ShownView)},
+    "p": Command.SAVE,
+    "t": Command.RECORD,
+    "m": Command.PLAY,
+    "g": Command.RING,
+    "h": Command.HUD,
+    "Tab": Command.CONTROLS,
+    "f": Command.FULL_SCREEN,
+    "F1": Command.HELP,
+    "Escape": Command.LEAVE,
 }
 
 _HELP = {
@@ -61,19 +56,19 @@ _HELP = {
     "drag, arrows": "look around",
     "W A S D": "walk",
     "Q E": "move down, up",
-    **{_Key(key).name.removeprefix("Key_"): command.value for key, command in COMMANDS.items()},
+    **{"Space" if key == " " else key.capitalize(): command.value for key, command in COMMANDS.items()},
 }
 HELP = [f"{keys:<14}{effect}" for keys, effect in _HELP.items()]
 
 
-class HeldKeys(set[int]):
+class HeldKeys(set[str]):
     """Keys that walk or look around for as long as they are held; times are seconds on one clock."""
 
     def __init__(self, now: float):
         super().__init__()
         self._before = now
 
-    def press(self, key: int, now: float) -> bool:
+    def press(self, key: str, now: float) -> bool:
         """Notes that a key is pressed, if it walks or looks around; whether it does."""
         if key not in _WALK and key not in _LOOK:
             return False
@@ -92,6 +87,6 @@ class HeldKeys(set[int]):
         for key in self:
             if key in _WALK:
                 step = _PACE * distance * seconds
-                walker.walk(*(step * way for way in _WALK[_Key(key)]))
+                walker.walk(*(step * way for way in _WALK[key]))
             else:
-                walker.look(*(_TURN * seconds * way for way in _LOOK[_Key(key)]))
+                walker.look(*(_TURN * seconds * way for way in _LOOK[key]))

@@ -18,18 +18,26 @@ _LIBRARIES = (
 
 def require_window() -> None:
     """UserError if Qt cannot open a window, raised before Qt itself ends the process for that reason."""
+    problem = window_problem()
+    if problem is not None:
+        raise UserError(problem)
+
+
+def window_problem() -> str | None:
+    """Why Qt cannot open a window here; None if it can."""
     try:
         import PySide6  # noqa: F401
-    except ImportError as error:
-        raise UserError(_INSTALL) from error
+    except ImportError:
+        return _INSTALL
     displays = ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
     if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):
-        raise UserError("there is no display; set DISPLAY, or use a virtual one: xvfb-run hybrid demo ...")
+        return "there is no display; set DISPLAY, or use --browser"
     ended = tried()
     if ended.returncode:
         lines = [line.strip() for line in ended.stderr.splitlines() if line.strip()]
         said = lines[0] if lines else f"it ended with code {ended.returncode}"
-        raise UserError(f"Qt cannot open a window here ({said}); on Debian: apt install {_LIBRARIES}")
+        return f"Qt cannot open a window here ({said}); on Debian: apt install {_LIBRARIES}"
+    return None
 
 
 def tried(environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

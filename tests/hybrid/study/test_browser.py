@@ -6,7 +6,6 @@ import http.client
 import json
 import queue
 import re
-import shutil
 import threading
 from contextlib import contextmanager, suppress
 from urllib.parse import urlsplit
@@ -17,6 +16,7 @@ from PIL import Image
 
 from compose.base.errors import UserError
 from hybrid.study.browser import serve_study
+from tests.chromium import chromium, until
 from tests.hybrid.study.scripted import ScriptedSession, phase, text, trial
 
 _SIZE = (32, 24)
@@ -203,20 +203,7 @@ _QUESTION = "return document.querySelectorAll('.answers button:enabled').length"
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium")
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("needs chromium and chromedriver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for option in ("--headless", "--no-sandbox", "--no-first-run"):
-        options.add_argument(option)
-    for option in ("background-networking", "component-update", "gpu", "quic", "sync"):
-        options.add_argument(f"--disable-{option}")
-    options.add_argument(f"--user-data-dir={tmp_path_factory.mktemp('profile')}")
-    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    yield browser
-    browser.quit()
+    yield from chromium(tmp_path_factory.mktemp("profile"))
 
 
 @pytest.fixture
@@ -234,21 +221,15 @@ def clips(tmp_path):
     return tmp_path, pixels
 
 
-def _until(browser, script):
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    return WebDriverWait(browser, 20, 0.05).until(lambda _: browser.execute_script(script))
-
-
 def _press_button(browser, label):
-    _until(browser, f"return document.querySelector('button:enabled')?.textContent === '{label}'")
+    until(browser, f"return document.querySelector('button:enabled')?.textContent === '{label}'")
     browser.find_element("css selector", "button").click()
 
 
 def _press_key(browser, key):
-    _until(browser, _QUESTION)
+    until(browser, _QUESTION)
     browser.switch_to.active_element.send_keys(key)
-    _until(browser, "return !document.querySelector('.answers')")
+    until(browser, "return !document.querySelector('.answers')")
 
 
 def test_a_whole_study_in_chromium(browser, clips):
@@ -265,7 +246,7 @@ def test_a_whole_study_in_chromium(browser, clips):
         browser.execute_script(_WATCH)
         _press_button(browser, "Begin")
         _press_button(browser, "Go on")
-        _until(browser, "return document.querySelector('.error').textContent === 'age: must be a number'")
+        until(browser, "return document.querySelector('.error').textContent === 'age: must be a number'")
         browser.find_element("name", "age").send_keys("30")
         browser.find_element("css selector", "form button").click()
         for key in "1x5342":
@@ -273,7 +254,7 @@ def test_a_whole_study_in_chromium(browser, clips):
                 browser.switch_to.active_element.send_keys("1")  # No question is asked yet.
             else:
                 _press_key(browser, key)
-        _until(browser, "return document.querySelector('h1').textContent === 'Thank you'")
+        until(browser, "return document.querySelector('h1').textContent === 'Thank you'")
         drawn = browser.execute_script("return window.drawn")
         server.thread.join(10)
     _, answered, *replies = session.replies
@@ -313,22 +294,22 @@ def test_trials_that_are_cut_short_start_again(browser, clips):
             f"return requestAnimationFrame(look); {hidden % 'true'} "
             f"document.dispatchEvent(new Event('visibilitychange')); {hidden % 'false'} done(); }})();"
         )
-        _until(browser, "return document.querySelector('h1')?.textContent === 'Interrupted'")
+        until(browser, "return document.querySelector('h1')?.textContent === 'Interrupted'")
         browser.refresh()
         _press_button(browser, "Begin")
-        _until(browser, playing)
+        until(browser, playing)
         session.failure = RuntimeError("the power is cut")
-        _until(browser, "return document.querySelector('h1')?.textContent === 'The connection was lost'")
+        until(browser, "return document.querySelector('h1')?.textContent === 'The connection was lost'")
         server.thread.join(10)
     assert server.raised is session.failure
     assert session.replies == []
     session.failure = None
     with serving(session, server.port) as server:
         # The old page does not know the new token.
-        _until(browser, "return document.querySelector('h1').textContent === 'The study cannot go on'")
+        until(browser, "return document.querySelector('h1').textContent === 'The study cannot go on'")
         browser.get(server.address)
         _press_button(browser, "Begin")
-        _until(browser, "return document.querySelector('h1')?.textContent === 'Thank you'")
+        until(browser, "return document.querySelector('h1')?.textContent === 'Thank you'")
     (reply,) = session.replies
     assert (reply["answer"], reply["reaction_ms"]) == (None, 200)
     assert all(len(position) == 3 for position in reply["gaze"])

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +17,9 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QSlider
 
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window.frame_source import prepared
-from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import MainWindow, WindowOptions
+from hybrid.window.main_window import MainWindow
 from hybrid.window.messages import ShownView
-from hybrid.window.render_thread import RenderThread
+from hybrid.window.viewer import WindowOptions, viewer_of
 from splat.io.forest_file import load_forest
 from tests.hybrid.preparation.tiny import make_tiny
 from tests.small import resident_memory
@@ -35,13 +32,12 @@ def opened(forest: Path, folder: Path) -> MainWindow:
     """A window that shows frames of the forest's scene, one of the bundled ones."""
     window = window_of(load_forest(forest).scene_name, forest, folder)
     window.show()
-    wait(lambda: window.shown is not None and window.shown.image.shape[1] == SIZE[0])
+    wait(lambda: window.viewer.shown is not None and window.viewer.shown.image.shape[1] == SIZE[0])
     return window
 
 
 def window_of(scene: str, forest: Path | None, folder: Path) -> MainWindow:
-    thread = RenderThread(partial(prepared, scene, forest, "auto", True, INTERACTIVE))
-    return MainWindow(thread, INTERACTIVE, GazeInput(0.0, None), WindowOptions(SIZE, 0.0, folder))
+    return MainWindow(viewer_of(scene, forest, "auto", INTERACTIVE, None, WindowOptions(SIZE, 0.0, folder)))
 
 
 def wait(done: Callable[[], bool]) -> None:
@@ -64,7 +60,7 @@ def image(window: MainWindow) -> np.ndarray:
     """(H, W, 3) what is on the screen where the frame is, once it answers all input until now."""
     # The window system moves the mouse some time later.
     pause(0.1)
-    wait(lambda: window.shown is not None and window.shown.request.same_frame(window.request))
+    wait(lambda: window.viewer.shown is not None and window.viewer.shown.request.same_frame(window.viewer.request))
     grabbed = window.canvas.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(grabbed.constBits(), np.uint8).reshape(grabbed.height(), grabbed.bytesPerLine())
     return rows[:, : 3 * grabbed.width()].reshape(grabbed.height(), grabbed.width(), 3).copy()
@@ -84,14 +80,14 @@ def trains(folder: Path, closes: float) -> dict[str, object]:
     """Trains a missing forest while the window stays responsive; or closes the window before that is done."""
     make_tiny(setattr)
     window, said, beats = window_of("cornell", None, folder), [], [time.monotonic()]
-    window._thread.progress.connect(lambda activity, done, total: said.append(activity))
+    window.viewer.on_progress = lambda activity, done, total: said.append(activity)  # type: ignore[method-assign]
     window.show()
     heart = QTimer()
     heart.timeout.connect(lambda: beats.append(time.monotonic()))
     heart.start(10)
-    wait(lambda: window.shown is not None or (closes > 0 and len(said) > 0))
+    wait(lambda: window.viewer.shown is not None or (closes > 0 and len(said) > 0))
     seen: dict[str, object] = {"said": sorted(set(said)), "pause": float(np.diff(beats).max())}
-    return ended(window, seen | {"shown": window.shown is not None})
+    return ended(window, seen | {"shown": window.viewer.shown is not None})
 
 
 def tour(forest: Path, folder: Path) -> dict[str, object]:
@@ -123,7 +119,7 @@ def tour(forest: Path, folder: Path) -> dict[str, object]:
     pause(0.3)
     seen["wide"] = window.canvas.width()
     image(window)
-    seen["frame"] = window.shown.image.shape if window.shown else None
+    seen["frame"] = window.viewer.shown.image.shape if window.viewer.shown else None
     return ended(window, seen)
 
 
@@ -134,7 +130,7 @@ def discs(window: MainWindow) -> dict[str, object]:
         QTest.mouseMove(window.canvas, QPoint(x, y))
         found.append({"mouse": [x, y], **disc(window)})
     assert window.panel is not None
-    window.panel.fov_a.setValue(30)
+    window.panel.widgets["fov-a"].setValue(30)
     wider = disc(window)["width"]
     key(window, Qt.Key.Key_Space)
     QTest.mouseMove(window.canvas, QPoint(40, 40))
@@ -155,9 +151,9 @@ def walk(window: MainWindow) -> dict[str, object]:
 
 def position(window: MainWindow) -> list[float]:
     """Where the camera of the newest request is."""
-    assert window.request is not None
-    assert window.request.settings.camera is not None
-    return window.request.settings.camera.position.tolist()
+    assert window.viewer.request is not None
+    assert window.viewer.request.settings.camera is not None
+    return window.viewer.request.settings.camera.position.tolist()
 
 
 def difference(window: MainWindow, act: Callable[[], object]) -> float:
@@ -217,27 +213,28 @@ def random_step(window: MainWindow, chance: random.Random) -> None:
     elif kind < 0.8:
         drag(window)
     elif kind < 0.9:
-        slider = chance.choice(panel.findChildren(QSlider))
+        name, slider = chance.choice([(n, w) for n, w in panel.widgets.items() if isinstance(w, QSlider)])
         # Radii and samples with which frames stay quick.
-        most = min(slider.maximum(), 40 if slider in (panel.fov_a, panel.fov_b) else 100)
-        slider.setValue(chance.randint(slider.minimum(), min(most, 4) if slider is panel.spp else most))
+        most = min(slider.maximum(), 40 if name in ("fov-a", "fov-b") else 100)
+        slider.setValue(chance.randint(slider.minimum(), min(most, 4) if name == "samples" else most))
     elif kind < 0.93:
-        panel.acuity_model.setCurrentIndex(chance.randrange(panel.acuity_model.count()))
+        models = panel.widgets["acuity model"]
+        models.setCurrentIndex(chance.randrange(models.count()))
     elif kind < 0.96:
         QTest.keyClick(canvas, chance.choice((Qt.Key.Key_Tab, Qt.Key.Key_F1, Qt.Key.Key_Space)))
     elif kind < 0.98:
         window.resize(chance.randrange(400, 700), chance.randrange(250, 450))
     else:
-        panel.controlled.setChecked(not panel.controlled.isChecked())
+        panel.widgets["keep FPS"].toggle()
 
 
 def ended(window: MainWindow, seen: dict[str, object]) -> dict[str, object]:
     """Closes the window, and adds to what was seen what is left running."""
-    error = window.error
+    error = window.viewer.error
     window.close()
     threads = [thread.name for thread in threading.enumerate() if thread is not threading.main_thread()]
     # Qt's threads are listed as dummies while they run Python.
-    return seen | {"running": window._thread.isRunning(), "threads": threads, "error": error and str(error)}
+    return seen | {"running": window.viewer.thread.running, "threads": threads, "error": error and str(error)}
 
 
 if __name__ == "__main__":

@@ -9,11 +9,12 @@ pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=
 from PySide6.QtWidgets import QApplication, QDockWidget, QScrollArea
 
 from hybrid.render.frame_settings import INTERACTIVE
+from hybrid.window.controls import Controls
 from hybrid.window.panel import Panel, controls_dock
 
 
 def test_the_dock_is_as_wide_as_its_panel_and_may_be_lower(application):
-    panel = Panel(INTERACTIVE, None, 4)
+    panel = Panel(Controls(INTERACTIVE, None, 4))
     wanted = panel.sizeHint()
     dock = controls_dock(panel)
     scrolled = dock.widget()
@@ -34,5 +35,5 @@ def test_the_dock_is_as_wide_as_its_panel_and_may_be_lower(application):
 
 
 def test_it_can_be_neither_moved_nor_closed(application):
-    dock = controls_dock(Panel(INTERACTIVE, None, 4))
+    dock = controls_dock(Panel(Controls(INTERACTIVE, None, 4)))
     assert dock.features() == QDockWidget.DockWidgetFeature.NoDockWidgetFeatures

@@ -31,13 +31,6 @@ def test_qt_that_is_not_installed(monkeypatch):
         require_window()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux may have no display")
-def test_no_display(no_display, monkeypatch):
-    trial(monkeypatch, 0, "")
-    with pytest.raises(UserError, match="there is no display; set DISPLAY"):
-        require_window()
-
-
 @pytest.mark.parametrize("name", ["DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"])
 def test_any_kind_of_display_will_do(no_display, monkeypatch, name):
     monkeypatch.setenv(name, "some")
@@ -61,11 +54,20 @@ def test_a_trial_opens_a_window_in_memory(offscreen):
     assert tried(offscreen).returncode == 0
 
 
-def test_the_command_says_it_in_one_line(no_display, monkeypatch, capsys, tmp_path):
-    assert run(monkeypatch, "demo", "cornell", "--out", tmp_path) == 2
-    assert "no display" in capsys.readouterr().err
-    monkeypatch.setenv("QT_QPA_PLATFORM", "nothing-of-that-name")
-    assert run(monkeypatch, "demo", "cornell", "--out", tmp_path) == 2
-    error = capsys.readouterr().err.strip()
-    assert "Qt cannot open a window here" in error
-    assert "\n" not in error
+@pytest.mark.parametrize("platform", [None, "nothing-of-that-name"])
+def test_the_command_serves_the_window_to_a_browser_instead(no_display, monkeypatch, capsys, tmp_path, platform):
+    served = []
+    monkeypatch.setattr("hybrid.window.browser.serve_window", lambda *given: served.append(given))
+    if platform is not None:
+        monkeypatch.setenv("QT_QPA_PLATFORM", platform)
+    assert run(monkeypatch, "demo", "cornell", "--out", tmp_path) == 0
+    assert len(served) == 1
+    said = capsys.readouterr().out.strip()
+    assert said.startswith("in a browser, since ")
+    assert "\n" not in said
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux may have no display")
+def test_what_needs_qt_says_so_in_one_line(no_display):
+    with pytest.raises(UserError, match="there is no display; set DISPLAY, or use --browser"):
+        require_window()

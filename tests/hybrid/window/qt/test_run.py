@@ -6,6 +6,7 @@ import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,18 +18,26 @@ from compose.base.errors import UserError
 from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window import application as run
-from hybrid.window.application import WindowOptions, run_window
-from tests.hybrid.window.qt.fakes import Source
+from hybrid.window import main_window, viewer
+from hybrid.window.main_window import run_window
+from hybrid.window.viewer import WindowOptions, viewer_of
+from tests.hybrid.window.fakes import Source
 
 FOREST = Path("some.forest")
+
+
+def measured(*arguments: Any) -> tuple[dict[str, Any], str]:
+    """What a window measures until it is closed."""
+    opened = viewer_of(*arguments)
+    run_window(opened)
+    return opened.measured()
 
 
 @pytest.fixture(autouse=True)
 def one_application(application, monkeypatch) -> Iterator[None]:
     """The application of this process, since there can be only one; Ctrl-C as it was."""
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(run, "QApplication", lambda arguments: application)
+    monkeypatch.setattr(main_window, "QApplication", lambda arguments: application)
     yield
     signal.signal(signal.SIGINT, before)
 
@@ -52,14 +61,14 @@ def source(monkeypatch, backend) -> Source:
         assert (scene, forest, backend, trains, settings) == ("box", FOREST, "auto", False, INTERACTIVE)
         return source
 
-    monkeypatch.setattr(run, "prepared", prepared)
-    monkeypatch.setattr("hybrid.window.application._WARM_UP", 0.3)
+    monkeypatch.setattr(viewer, "prepared", prepared)
+    monkeypatch.setattr("hybrid.window.window_bench.WARM_UP", 0.3)
     return source
 
 
 def test_a_bench_moves_the_mouse_and_measures(source, tmp_path):
     options = WindowOptions((320, 240), 0.0, tmp_path, bench=0.5)
-    found, summary = run_window("box", FOREST, "auto", INTERACTIVE, None, options)
+    found, summary = measured("box", FOREST, "auto", INTERACTIVE, None, options)
     assert (found["width"], found["height"]) == (320, 240)
     assert found["fps"] > 0
     assert found["latency_ms"]["p50"] > 0
@@ -78,7 +87,7 @@ def test_a_late_trace_a_target_and_a_load_are_measured(source, monkeypatch, tmp_
     here, there = Gaze(0.1, 0.1), Gaze(0.9, 0.9)
     options = WindowOptions((320, 240), 0.2, tmp_path, target_fps=50.0, bench=2.0, load=0.3)
     trace = GazeTrace((0.0, 0.1, 0.2), (here, there, there))
-    found, _ = run_window("box", FOREST, "auto", INTERACTIVE, trace, options)
+    found, _ = measured("box", FOREST, "auto", INTERACTIVE, trace, options)
     assert {request.settings.gaze for request in source.requests} == {here, there}
     assert (found["target"]["fps"], found["target"]["tolerance"]) == (50, 0.2)
     begin, end = found["target"]["loaded_s"]
@@ -92,14 +101,14 @@ def test_what_ends_the_renderer_is_raised(application, monkeypatch, tmp_path):
     def fails(*arguments: object, **options: object) -> Source:
         raise UserError("no-such-scene: there is no such scene")
 
-    monkeypatch.setattr(run, "prepared", fails)
+    monkeypatch.setattr(viewer, "prepared", fails)
     options = WindowOptions((320, 240), 0.0, tmp_path)
     with pytest.raises(UserError, match="no such scene"):
-        run_window("no-such-scene", None, "auto", INTERACTIVE, None, options)
+        measured("no-such-scene", None, "auto", INTERACTIVE, None, options)
 
 
 def test_ctrl_c_closes_the_window(source, tmp_path):
     QTimer.singleShot(300, lambda: signal.raise_signal(signal.SIGINT))
     options = WindowOptions((320, 240), 0.0, tmp_path, bench=3600.0)
-    found, _ = run_window("box", FOREST, "auto", INTERACTIVE, None, options)
+    found, _ = measured("box", FOREST, "auto", INTERACTIVE, None, options)
     assert "frames" in found

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hybrid.window.messages import ShownView
 from hybrid.window.meter import Meter, lines_of
-from tests.hybrid.window.qt.fakes import REQUEST, shown
+from tests.hybrid.window.fakes import REQUEST, shown
 
 
 def test_the_first_frame_has_no_interval_yet():

@@ -10,17 +10,10 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("PySide6.QtCore", reason="the window needs Qt", exc_type=ImportError)
-
-from PySide6.QtCore import Qt
-
 from compose.eye.gaze import Gaze
 from hybrid.window.messages import Ready, Request
 from hybrid.window.render_thread import RenderThread
-from tests.hybrid.window.qt.fakes import CAMERA, REQUEST, Source
-
-pytestmark = pytest.mark.usefixtures("application")
-DIRECT = Qt.ConnectionType.DirectConnection
+from tests.hybrid.window.fakes import CAMERA, REQUEST, Source
 
 
 def looking_at(x: float) -> Request:
@@ -38,17 +31,25 @@ def wait(done: Callable[[], object]) -> None:
 class Heard:
     """Everything that a thread says."""
 
-    def __init__(self, thread: RenderThread):
+    def __init__(self) -> None:
         self.ready: list[Ready] = []
         self.failed: list[Exception] = []
         self.saved: list[str] = []
+        self.statuses: list[str] = []
         self.arrived: list[None] = []
         self.progress: list[tuple[str, int, int]] = []
-        thread.ready.connect(self.ready.append, DIRECT)
-        thread.failed.connect(self.failed.append, DIRECT)
-        thread.saved.connect(self.saved.append, DIRECT)
-        thread.arrived.connect(lambda: self.arrived.append(None), DIRECT)
-        thread.progress.connect(lambda *step: self.progress.append(step), DIRECT)
+        self.on_ready, self.on_failure, self.say = self.ready.append, self.failed.append, self.saved.append
+        self.on_status = self.statuses.append
+
+    def on_frame(self) -> None:
+        self.arrived.append(None)
+
+    def on_progress(self, *step: Any) -> None:
+        self.progress.append(step)
+
+
+def at_once(function: Callable[[], None]) -> None:
+    function()
 
 
 @pytest.fixture
@@ -59,8 +60,8 @@ def started() -> Iterator[Callable[..., tuple[RenderThread, Heard]]]:
     def start(prepare: Callable[..., Any]) -> tuple[RenderThread, Heard]:
         thread = RenderThread(prepare)
         threads.append(thread)
-        heard = Heard(thread)
-        thread.start()
+        heard = Heard()
+        thread.start(heard, at_once)
         return thread, heard
 
     yield start
@@ -126,7 +127,7 @@ def test_a_frame_that_is_not_due_yet_waits_and_has_the_newest_gaze(started, monk
     assert source.requests == [looking_at(0.1), looking_at(0.3)]
     # Even though its next frame is due much later, it ends at once.
     thread.stop()
-    assert thread.isFinished()
+    assert not thread.running
 
 
 def test_of_requests_that_come_meanwhile_only_the_newest_is_rendered(started):
@@ -184,11 +185,11 @@ def test_stopping_interrupts_the_preparation_without_an_error():
             raise
 
     thread = RenderThread(prepare)
-    heard = Heard(thread)
-    thread.start()
+    heard = Heard()
+    thread.start(heard, at_once)
     wait(lambda: heard.progress)
     thread.stop()
-    assert thread.isFinished()
+    assert not thread.running
     assert interrupted
     assert not heard.failed
     assert not heard.ready
@@ -201,5 +202,17 @@ def test_errors_are_handed_over(started):
         raise problem
 
     thread, heard = started(prepare)
-    assert thread.wait(60_000)
+    wait(lambda: not thread.running)
     assert heard.failed == [problem]
+
+
+def test_a_status_may_come_from_any_thread(started):
+    thread, heard = started(lambda report: Source())
+    thread.tell("learning: 31.2 dB after 40 s")
+    assert heard.statuses == ["learning: 31.2 dB after 40 s"]
+
+
+def test_a_thread_that_was_not_started_stops():
+    thread = RenderThread(lambda report: Source())  # type: ignore[arg-type, return-value]
+    thread.stop()
+    assert not thread.running

@@ -12,9 +12,11 @@ import numpy as np
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from compose.eye.gaze import Gaze
+from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window.messages import Ready, Request, ShownFrame
+from hybrid.window.messages import Newest, Ready, Request, ShownFrame
+from hybrid.window.render_thread import Post
+from hybrid.window.viewer import Viewer, WindowOptions
 
 CAMERA = Camera(np.eye(4), 320, 240, 250.0, 250.0, 160.0, 120.0)
 REQUEST = Request(replace(INTERACTIVE, camera=CAMERA, gaze=Gaze(0.5, 0.5), layers=(1, 3)))
@@ -63,3 +65,37 @@ class Source:
         if not png.parent.is_dir():
             raise UserError(f"{png}: cannot be written")
         png.touch()
+
+
+class Thread:
+    """A render thread that does nothing by itself."""
+
+    def __init__(self) -> None:
+        self.requests: Newest[Request] = Newest()
+        self.frames: Newest[ShownFrame] = Newest()
+        self.files: list[Path] = []
+        self.started = self.stopped = False
+
+    def start(self, listener: Any, post: Post) -> None:
+        self.started, self.listener, self.post = True, listener, post
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def save(self, png: Path) -> None:
+        self.files.append(png)
+        png.touch()
+
+
+def viewer(
+    folder: Path,
+    latency: float = 0.0,
+    trace: GazeTrace | None = None,
+    target_fps: float | None = None,
+    bench: float | None = None,
+    load: float = 0.0,
+) -> Viewer:
+    """Looks at a scene that is not loaded, 320 by 240 pixels, with a thread that does nothing."""
+    thread: Any = Thread()
+    options = WindowOptions((320, 240), latency, folder, target_fps, bench, load)
+    return Viewer(thread, INTERACTIVE, trace, options)

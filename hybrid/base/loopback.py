@@ -1,0 +1,40 @@
+"""Pages for the browsers of this machine: who is answered, and what a page may load."""
+
+from __future__ import annotations
+
+import secrets
+
+ADDRESS = "127.0.0.1"
+# The page loads nothing from elsewhere, and tells nobody its address, which holds the token.
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "connect-src 'self'; form-action 'none'; frame-ancestors 'none'; base-uri 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Visitors:
+    """Tells who may see the pages of a server: whoever knows the token in the address that it printed.
+
+    Attributes:
+        query: what addresses end with; holds the token, another one each time.
+    """
+
+    def __init__(self) -> None:
+        self.query = f"token={secrets.token_urlsafe()}"
+
+    def address(self, port: int) -> str:
+        """The address to open."""
+        return f"http://{ADDRESS}:{port}/?{self.query}"
+
+    def admits(self, query: str, host: str | None, origin: str | None, port: int) -> bool:
+        """Whether a request with that query and those headers comes from the page, or is for it.
+
+        Its address must not have another site's name that was made to mean this machine, and no other site
+        may ask. Browsers send no origin with addresses that were typed.
+        """
+        hosts = [f"{name}:{port}" for name in (ADDRESS, "localhost")]
+        known = secrets.compare_digest(query.encode(), self.query.encode())
+        return known and host in hosts and origin in (None, *(f"http://{name}" for name in hosts))
