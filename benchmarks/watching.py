@@ -71,7 +71,7 @@ def _watch(source: FrameSource, seconds: float, times: list[float] | None = None
 
 
 def _source(scene: str, learns: bool) -> FrameSource:
-    return prepared(ShownScene(scene), None, learns, INTERACTIVE, _quiet)
+    return prepared(ShownScene(scene), None, learns, INTERACTIVE, _quiet, lambda line: None)
 
 
 def _first(scene: str) -> None:

@@ -43,6 +43,12 @@ def demo(
     ] = None,
     simulate: Annotated[bool, o.viewer("--simulate", help="Let a simulated viewer look around.")] = False,
     play: Annotated[bool, o.viewer("--play", help="Play a moving scene from the start.")] = False,
+    learning: Annotated[
+        bool,
+        o.viewer(
+            "--learning/--no-learning", help="Learn what was not prepared, and what changes, meanwhile."
+        ),
+    ] = True,
     latency: Annotated[
         float, o.viewer(help="Gaze latency in milliseconds.", min=0, max=60_000, callback=o.finite)
     ] = 0.0,
@@ -117,10 +123,12 @@ def demo(
     why = None if browser or port is not None else window_problem()
     if why is not None:
         print(f"in a browser, since {why}", flush=True)
+    from hybrid.window.learning import ShownScene
     from hybrid.window.viewer import WindowOptions, viewer_of
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
-    viewer = viewer_of(scene, forest, backend, settings, trace, options, thin_glass, sensor)
+    shown = ShownScene(scene, thin_glass, sensor, backend)
+    viewer = viewer_of(shown, forest, settings, trace, options, learning)
     if browser or port is not None or why is not None:
         from hybrid.window.browser import serve_window
 

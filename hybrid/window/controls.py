@@ -65,7 +65,7 @@ class Controls:
         self._initial, self._initial_target, self._playback = settings, target_fps, playback
         self._touched = False
         low, high = settings.layers or (1, layers)
-        self._chosen: FrameSettings | None = replace(settings, layers=(low, high))
+        self._chosen: FrameSettings | None = settings
         initial = {
             _list("view", tuple(view.value for view in _VIEWS)): 0,
             Control("fov-a", 0, _MOST_RADIUS, " %"): round(settings.fov_a),
@@ -106,6 +106,15 @@ class Controls:
                 self.values[lower] = min(self.values[lower], value)
         self._touched, self._chosen = True, None
 
+    def set_layers(self, layers: int) -> None:
+        """Takes another number of layers; what is chosen stays where it can, and all of them stay all."""
+        low, high = self.values["coarsest layer"], self.values["finest layer"]
+        high = layers if self._all_layers else min(high, layers)
+        names = "coarsest layer", "finest layer"
+        self.all = tuple(replace(one, high=layers) if one.name in names else one for one in self.all)
+        self.values |= dict(zip(names, (min(low, high), high), strict=True))
+        self._chosen = None if self._touched else self._chosen
+
     def show_time(self, time: float) -> None:
         """Moves the slider of a scene that moves, without seeking the time that it stands for."""
         self.values["time"] = round(time * _TIME_STEPS)
@@ -135,7 +144,7 @@ class Controls:
                 fov_b=float(values["fov-b"]),
                 spp=values["samples"],
                 acuity_model=_MODELS[values["acuity model"]],
-                layers=(values["coarsest layer"], values["finest layer"]),
+                layers=None if self._all_layers else (values["coarsest layer"], values["finest layer"]),
                 rate=values["finest rate"],
                 scale=values["scale"] / 100,
             )
@@ -152,6 +161,12 @@ class Controls:
     def view(self) -> ShownView:
         """The chosen view."""
         return _VIEWS[self.values["view"]]
+
+    @property
+    def _all_layers(self) -> bool:
+        """Whether no layer is left out."""
+        most = next(one.high for one in self.all if one.name == "finest layer")
+        return (self.values["coarsest layer"], self.values["finest layer"]) == (1, most)
 
     def _set_playback(self, name: str, value: int) -> None:
         assert self._playback is not None

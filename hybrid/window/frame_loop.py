@@ -197,14 +197,14 @@ def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[Mea
 
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
     """Settings from very coarse to very fine, with the base's acuity model, display and share of the band."""
-    plain = replace(base, spp=1, layers=(1, layers), rate=0, scale=1.0)
+    plain = replace(base, spp=1, layers=None, rate=0, scale=1.0)
 
     def made(fov_a: float, **other: Any) -> FrameSettings:
         return replace(plain.with_radius(fov_a), **other)
 
     coarse = [made(radius, scale=scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
     coarse += [made(radius, rate=1) for radius in (8.0, 15.0)]
-    coarse += [made(8.0, layers=(1, max(layers - 1, 1)))]
+    coarse += [made(8.0, layers=(1, layers - 1))] if layers > 1 else []
     fine = [made(radius) for radius in _RADII]
     fine += [made(radius, spp=spp) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
     return list(dict.fromkeys(coarse + fine))

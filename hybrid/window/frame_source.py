@@ -69,6 +69,7 @@ class FrameSource:
     def show(self, request: Request, quick: bool) -> ShownFrame:
         """The requested image, a little better with each call; if `quick`, in no more time."""
         self._seed += 1
+        request = replace(request, settings=self._possible(request.settings))
         # What frames of another size or kind needed.
         if time.monotonic() - self._released > _RELEASE_EVERY:
             release_memory()
@@ -148,6 +149,12 @@ class FrameSource:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
 
+    def _possible(self, settings: FrameSettings) -> FrameSettings:
+        """Settings without layers that the forest does not have; it may just have replaced another one."""
+        if settings.layers is None or settings.layers[1] <= self.layers:
+            return settings
+        return replace(settings, layers=(min(settings.layers[0], self.layers), self.layers))
+
     def _rendered(self, request: Request, frame: Frame | None, quick: bool) -> tuple[Frame, int]:
         """The hybrid frame of a request, from the frame so far if any, and how many paths it took now."""
         if frame is None:
@@ -176,7 +183,7 @@ def prepared(
     learns: bool,
     settings: FrameSettings,
     report: Progress,
-    say: Callable[[str], object] = lambda line: None,
+    say: Callable[[str], object],
 ) -> FrameSource:
     """The source of a scene's frames, the first of which has these settings.
 

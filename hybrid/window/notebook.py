@@ -9,6 +9,7 @@ from typing import Any
 
 from compose.base.errors import UserError
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
+from hybrid.window.learning import ShownScene
 from hybrid.window.page import PageShell, asset
 from hybrid.window.viewer import WindowOptions, viewer_of
 
@@ -44,7 +45,7 @@ def show(
 
     Args:
         scene: name of a bundled scene, or path of a Mitsuba 3 XML file.
-        forest: its forest file; the newest forest of the scene if None, and if there is none, one is trained.
+        forest: its forest file; if None, the newest forest of the scene, or one that is learnt while it is shown.
         settings: of frames, which the controls change; the view is that of the window.
         size: width and height of the frame in pixels, until the window is resized.
         target_fps: frames per second to keep, by choosing radius, samples, layers, rate and scale.
@@ -86,7 +87,7 @@ def show(
         window.close()
     options = WindowOptions(size, 0.0, Path(folder), target_fps)
     file = None if forest is None else Path(forest)
-    viewer = viewer_of(str(scene), file, backend, settings, None, options)
+    viewer = viewer_of(ShownScene(str(scene), backend=backend), file, settings, None, options)
     shell, widget = PageShell(viewer), Window()
     _open.append(widget)
     # The renderer ends before Python does.

@@ -28,6 +28,9 @@ class Listener(Protocol):
     def on_ready(self, ready: Ready) -> None:
         """The scene is prepared."""
 
+    def on_layers(self, layers: int) -> None:
+        """The forest has another number of layers from now on."""
+
     def on_frame(self) -> None:
         """There is a frame in `frames`: if the message carried it, frames would pile up before a busy shell."""
 
@@ -89,7 +92,10 @@ class RenderThread:
         try:
             source = self._prepare(self._report)
             self._post(partial(self._listener.on_ready, source.ready()))
-            self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
+            try:
+                self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
+            finally:
+                source.close()
         except KeyboardInterrupt:
             pass  # the window was closed during preparation
         except Exception as error:
@@ -107,6 +113,9 @@ class RenderThread:
             # Wait first, then take the request, so that its gaze is as new as can be.
             self._stopping.wait(max(0.0, loop.due - time.perf_counter()))
             newer = self.requests.take(_POLL if loop.idle else 0.0)
+            renewed = source.renew(self._report)
+            if renewed:
+                self._post(partial(self._listener.on_layers, source.layers))
             png = self._screenshots.take()
             if png is not None:
                 try:
@@ -116,6 +125,6 @@ class RenderThread:
                     said = str(error)
                 self._post(partial(self._listener.say, said))
             request = newer or request
-            if request is not None and (newer is not None or not loop.idle):
+            if request is not None and (newer is not None or renewed or not loop.idle):
                 self.frames.put(loop.make(request))
                 self._post(self._listener.on_frame)

@@ -21,6 +21,7 @@ from hybrid.window.controls import Controls
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput, GazeRecording, unused_file
 from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
+from hybrid.window.learning import ShownScene
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.meter import Meter, figures, lines_of, steadiness, summary
 from hybrid.window.navigation import Playback, Walker
@@ -280,6 +281,11 @@ class Viewer:
         self.say("F1: help")
         self.tick()
 
+    def on_layers(self, layers: int) -> None:
+        if self.controls is not None:
+            self.controls.set_layers(layers)
+        self._shell.refresh()
+
     def on_progress(self, activity: str, done: int, total: int) -> None:
         self.meter.pause()
         self.progress = (activity, done, total) if done < total else None
@@ -361,20 +367,15 @@ class Viewer:
 
 
 def viewer_of(
-    scene: str,
+    scene: ShownScene,
     forest: Path | None,
-    backend: str,
     settings: FrameSettings,
     trace: GazeTrace | None,
     options: WindowOptions,
-    thin_glass: bool = False,
-    sensor: str | None = None,
+    learns: bool = True,
 ) -> Viewer:
-    """A viewer of a scene; arguments are those of commands. The trace is replayed instead of the mouse."""
-    # Training would take minutes of a measurement that is expected to take seconds.
-    trains = options.bench is None
-    prepare = partial(prepared, scene, forest, backend, trains, settings)
-    thread = RenderThread(partial(prepare, thin_glass=thin_glass, sensor=sensor))
+    """A viewer of a scene (see `prepared`); the trace is replayed instead of the mouse."""
+    thread = RenderThread(lambda report: prepared(scene, forest, learns, settings, report, thread.tell))
     return Viewer(thread, settings, trace, options)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze, GazeTrace
+from hybrid.base.progress import Progress
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.messages import Newest, Ready, Request, ShownFrame
 from hybrid.window.render_thread import Post
@@ -52,6 +53,8 @@ class Source:
         self.finished = finished
         self.requests: list[Request] = []
         self.threads: set[int] = set()
+        # Whether something was learnt that was not taken yet.
+        self.learnt = self.closed = False
 
     def ready(self) -> Ready:
         return Ready("box", CAMERA, 2.0, 3)
@@ -60,6 +63,13 @@ class Source:
         self.requests.append(request)
         self.threads.add(threading.get_ident())
         return shown(request, finished=self.finished)
+
+    def renew(self, report: Progress) -> bool:
+        learnt, self.learnt = self.learnt, False
+        return learnt
+
+    def close(self) -> None:
+        self.closed = True
 
     def save(self, png: Path) -> None:
         if not png.parent.is_dir():

@@ -214,7 +214,7 @@ def test_a_scene_that_cannot_be_read_stays_as_it_was(tmp_path, monkeypatch):
 
 def test_a_glimpse_is_shown_where_there_is_no_forest(tiny):
     """It is that of the scene without a plan, for which there is no time."""
-    source = prepared(CORNELL, None, False, FrameSettings(fovea="raw"), quiet)
+    source = prepared(CORNELL, None, False, FrameSettings(fovea="raw"), quiet, Said())
     assert source.layers == 1
     path, learns = forest_to_show(load_scene("cornell"))
     assert learns

@@ -19,13 +19,17 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home")
 RAW = FrameSettings(fovea="raw")
 
 
+def unsaid(line: str) -> None:
+    pytest.fail(f"{line} is said")
+
+
 def silent(done: int, total: int, label: str) -> None:
     if not label.startswith("plan for"):
         pytest.fail(f"{label} is reported")
 
 
 def test_a_scene_and_its_forest_become_a_source(made):
-    source = prepared(ShownScene("cornell"), made / "box.forest", False, RAW, silent)
+    source = prepared(ShownScene("cornell"), made / "box.forest", False, RAW, silent, unsaid)
     assert source.ready().name == "cornell"
     assert source.layers == 2
 
@@ -35,7 +39,7 @@ def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
     load = prepare.scene_as_stored
     monkeypatch.setattr(prepare, "select_backend", done.append)
     monkeypatch.setattr(prepare, "scene_as_stored", lambda name, **_: done.append(name) or load(name))
-    prepared(ShownScene("cornell", backend="llvm"), made / "box.forest", False, RAW, silent)
+    prepared(ShownScene("cornell", backend="llvm"), made / "box.forest", False, RAW, silent, unsaid)
     assert done == ["llvm", "cornell"]
 
 
@@ -43,20 +47,20 @@ def test_the_newest_forest_of_the_scene_is_used(made):
     # Which stores its plan, as a preparation does.
     planned_scene("cornell")
     store_forest(load_forest(made / "box.forest"), "box")
-    source = prepared(ShownScene("cornell"), None, False, RAW, silent)
+    source = prepared(ShownScene("cornell"), None, False, RAW, silent, unsaid)
     assert source.renderer.periphery.forest.digest() == load_forest(made / "box.forest").digest()
 
 
 def test_a_missing_scene_or_forest_is_named(tmp_path):
     with pytest.raises(UserError, match="no-such-scene"):
-        prepared(ShownScene("no-such-scene"), None, True, RAW, silent)
+        prepared(ShownScene("no-such-scene"), None, True, RAW, silent, unsaid)
     with pytest.raises(UserError, match=r"missing\.forest"):
-        prepared(ShownScene("cornell"), tmp_path / "missing.forest", True, RAW, silent)
+        prepared(ShownScene("cornell"), tmp_path / "missing.forest", True, RAW, silent, unsaid)
 
 
 def test_a_forest_of_another_scene_is_refused(made):
     with pytest.raises(UserError, match="belongs to scene cornell"):
-        prepared(ShownScene("room"), made / "box.forest", False, RAW, silent)
+        prepared(ShownScene("room"), made / "box.forest", False, RAW, silent, unsaid)
 
 
 def test_filling_is_reported(made, monkeypatch):
@@ -67,11 +71,16 @@ def test_filling_is_reported(made, monkeypatch):
     reported: list[tuple[int, int, str]] = []
     monkeypatch.setattr(prepare, "cache_for", fills)
     prepared(
-        ShownScene("cornell"), made / "box.forest", False, INTERACTIVE, lambda *step: reported.append(step)
+        ShownScene("cornell"),
+        made / "box.forest",
+        False,
+        INTERACTIVE,
+        lambda *step: reported.append(step),
+        unsaid,
     )
     assert [step for step in reported if not step[2].startswith("plan for")] == [(1, 4, "irradiance (steps)")]
 
 
 def test_a_raw_fovea_needs_no_irradiance(made, monkeypatch):
     monkeypatch.setattr(prepare, "cache_for", lambda scene, bars: pytest.fail("the cache is filled"))
-    prepared(ShownScene("cornell"), made / "box.forest", False, RAW, silent)
+    prepared(ShownScene("cornell"), made / "box.forest", False, RAW, silent, unsaid)

@@ -39,7 +39,8 @@ class Heard:
         self.arrived: list[None] = []
         self.progress: list[tuple[str, int, int]] = []
         self.on_ready, self.on_failure, self.say = self.ready.append, self.failed.append, self.saved.append
-        self.on_status = self.statuses.append
+        self.layers: list[int] = []
+        self.on_status, self.on_layers = self.statuses.append, self.layers.append
 
     def on_frame(self) -> None:
         self.arrived.append(None)
@@ -87,6 +88,19 @@ def test_a_finished_frame_is_rendered_once_and_not_on_this_thread(started):
     time.sleep(0.05)
     assert [request.settings.gaze.x for request in source.requests] == [0.1, 0.2]
     assert source.threads.isdisjoint({threading.get_ident()})
+
+
+def test_what_was_learnt_is_shown_without_a_request(started):
+    source = Source()
+    thread, heard = started(lambda report: source)
+    thread.requests.put(looking_at(0.1))
+    wait(lambda: len(heard.arrived) == 1)
+    source.learnt = True
+    wait(lambda: len(heard.arrived) == 2)
+    assert source.requests == [looking_at(0.1)] * 2
+    assert heard.layers == [3]
+    thread.stop()
+    assert source.closed
 
 
 def test_an_unfinished_frame_is_rendered_again_until_it_is_finished(started):

@@ -106,7 +106,7 @@ def test_a_loaded_scene_is_asked_for_with_the_initial_settings(make):
     opened = make(target_fps=24.5)
     opened.load()
     request = opened.asked()
-    assert request.settings == replace(INTERACTIVE, layers=(1, 3), camera=CAMERA)
+    assert request.settings == replace(INTERACTIVE, camera=CAMERA)
     assert (request.view, request.target_fps) == (ShownView.COMPOSITE, 24.5)
     assert opened.viewer.request is request
     assert opened.viewer.title == "box - hybrid"

@@ -17,6 +17,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QSlider
 
 from hybrid.render.frame_settings import INTERACTIVE
+from hybrid.window.learning import ShownScene
 from hybrid.window.main_window import MainWindow
 from hybrid.window.messages import ShownView
 from hybrid.window.viewer import WindowOptions, viewer_of
@@ -37,7 +38,8 @@ def opened(forest: Path, folder: Path) -> MainWindow:
 
 
 def window_of(scene: str, forest: Path | None, folder: Path) -> MainWindow:
-    return MainWindow(viewer_of(scene, forest, "auto", INTERACTIVE, None, WindowOptions(SIZE, 0.0, folder)))
+    options = WindowOptions(SIZE, 0.0, folder)
+    return MainWindow(viewer_of(ShownScene(scene), forest, INTERACTIVE, None, options, learns=False))
 
 
 def wait(done: Callable[[], bool]) -> None:
@@ -60,7 +62,11 @@ def image(window: MainWindow) -> np.ndarray:
     """(H, W, 3) what is on the screen where the frame is, once it answers all input until now."""
     # The window system moves the mouse some time later.
     pause(0.1)
-    wait(lambda: window.viewer.shown is not None and window.viewer.shown.request.same_frame(window.viewer.request))
+    wait(
+        lambda: (
+            window.viewer.shown is not None and window.viewer.shown.request.same_frame(window.viewer.request)
+        )
+    )
     grabbed = window.canvas.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(grabbed.constBits(), np.uint8).reshape(grabbed.height(), grabbed.bytesPerLine())
     return rows[:, : 3 * grabbed.width()].reshape(grabbed.height(), grabbed.width(), 3).copy()
@@ -77,7 +83,7 @@ def key(window: MainWindow, which: Qt.Key) -> None:
 
 
 def trains(folder: Path, closes: float) -> dict[str, object]:
-    """Trains a missing forest while the window stays responsive; or closes the window before that is done."""
+    """Trains a first forest while the window stays responsive; or closes the window before that is done."""
     make_tiny(setattr)
     window, said, beats = window_of("cornell", None, folder), [], [time.monotonic()]
     window.viewer.on_progress = lambda activity, done, total: said.append(activity)  # type: ignore[method-assign]

@@ -19,11 +19,12 @@ from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window import main_window, viewer
+from hybrid.window.learning import ShownScene
 from hybrid.window.main_window import run_window
 from hybrid.window.viewer import WindowOptions, viewer_of
 from tests.hybrid.window.fakes import Source
 
-FOREST = Path("some.forest")
+BOX, FOREST = ShownScene("box"), Path("some.forest")
 
 
 def measured(*arguments: Any) -> tuple[dict[str, Any], str]:
@@ -47,18 +48,8 @@ def source(monkeypatch, backend) -> Source:
     """What is prepared; with a short warm-up."""
     source = Source()
 
-    def prepared(
-        scene: str,
-        forest: Path,
-        backend: str,
-        trains: bool,
-        settings: object,
-        report: object,
-        thin_glass: bool,
-        sensor: str | None,
-    ) -> Source:
-        assert (thin_glass, sensor) == (False, None)
-        assert (scene, forest, backend, trains, settings) == ("box", FOREST, "auto", False, INTERACTIVE)
+    def prepared(*given: object) -> Source:
+        assert given[:4] == (BOX, FOREST, True, INTERACTIVE)
         return source
 
     monkeypatch.setattr(viewer, "prepared", prepared)
@@ -68,7 +59,7 @@ def source(monkeypatch, backend) -> Source:
 
 def test_a_bench_moves_the_mouse_and_measures(source, tmp_path):
     options = WindowOptions((320, 240), 0.0, tmp_path, bench=0.5)
-    found, summary = measured("box", FOREST, "auto", INTERACTIVE, None, options)
+    found, summary = measured(BOX, FOREST, INTERACTIVE, None, options)
     assert (found["width"], found["height"]) == (320, 240)
     assert found["fps"] > 0
     assert found["latency_ms"]["p50"] > 0
@@ -87,7 +78,7 @@ def test_a_late_trace_a_target_and_a_load_are_measured(source, monkeypatch, tmp_
     here, there = Gaze(0.1, 0.1), Gaze(0.9, 0.9)
     options = WindowOptions((320, 240), 0.2, tmp_path, target_fps=50.0, bench=2.0, load=0.3)
     trace = GazeTrace((0.0, 0.1, 0.2), (here, there, there))
-    found, _ = measured("box", FOREST, "auto", INTERACTIVE, trace, options)
+    found, _ = measured(BOX, FOREST, INTERACTIVE, trace, options)
     assert {request.settings.gaze for request in source.requests} == {here, there}
     assert (found["target"]["fps"], found["target"]["tolerance"]) == (50, 0.2)
     begin, end = found["target"]["loaded_s"]
@@ -104,11 +95,11 @@ def test_what_ends_the_renderer_is_raised(application, monkeypatch, tmp_path):
     monkeypatch.setattr(viewer, "prepared", fails)
     options = WindowOptions((320, 240), 0.0, tmp_path)
     with pytest.raises(UserError, match="no such scene"):
-        measured("no-such-scene", None, "auto", INTERACTIVE, None, options)
+        measured(BOX, None, INTERACTIVE, None, options)
 
 
 def test_ctrl_c_closes_the_window(source, tmp_path):
     QTimer.singleShot(300, lambda: signal.raise_signal(signal.SIGINT))
     options = WindowOptions((320, 240), 0.0, tmp_path, bench=3600.0)
-    found, _ = measured("box", FOREST, "auto", INTERACTIVE, None, options)
+    found, _ = measured(BOX, FOREST, INTERACTIVE, None, options)
     assert "frames" in found
