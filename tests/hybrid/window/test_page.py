@@ -203,7 +203,9 @@ def test_only_what_has_changed_of_the_state_is_sent(run):
         await page.until(lambda: "values" in page.state)
         assert page.state["title"] == "box - hybrid"
         assert page.state["values"]["samples"] == [1, "samples 1", True]
-        assert {"name": "samples", "kind": "slider", "low": 1, "high": 16, "entries": ()} in page.state["controls"]
+        assert {"name": "samples", "kind": "slider", "low": 1, "high": 16, "entries": ()} in page.state[
+            "controls"
+        ]
         page.messages.clear()
         page.say("key_down", key="F1")
         await page.until(lambda: page.messages)

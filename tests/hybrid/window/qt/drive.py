@@ -60,7 +60,11 @@ def image(window: MainWindow) -> np.ndarray:
     """(H, W, 3) what is on the screen where the frame is, once it answers all input until now."""
     # The window system moves the mouse some time later.
     pause(0.1)
-    wait(lambda: window.viewer.shown is not None and window.viewer.shown.request.same_frame(window.viewer.request))
+    wait(
+        lambda: (
+            window.viewer.shown is not None and window.viewer.shown.request.same_frame(window.viewer.request)
+        )
+    )
     grabbed = window.canvas.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(grabbed.constBits(), np.uint8).reshape(grabbed.height(), grabbed.bytesPerLine())
     return rows[:, : 3 * grabbed.width()].reshape(grabbed.height(), grabbed.width(), 3).copy()

@@ -209,5 +209,3 @@ def test_the_mouse_is_reported_with_its_button(canvas):
         ("pointer_up", 104, 78, 1),
         ("pointer_down", 80, 90, 0),
     ]
-
-

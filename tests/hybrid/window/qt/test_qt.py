@@ -55,7 +55,9 @@ def test_a_trial_opens_a_window_in_memory(offscreen):
 
 
 @pytest.mark.parametrize("platform", [None, "nothing-of-that-name"])
-def test_the_command_serves_the_window_to_a_browser_instead(no_display, monkeypatch, capsys, tmp_path, platform):
+def test_the_command_serves_the_window_to_a_browser_instead(
+    no_display, monkeypatch, capsys, tmp_path, platform
+):
     served = []
     monkeypatch.setattr("hybrid.window.browser.serve_window", lambda *given: served.append(given))
     if platform is not None:
