@@ -2,8 +2,8 @@
 
     python -m benchmarks.window SCENE [--forest FILE] [--seconds 20] [--repeats 3] [--json FILE]
 
-Chromium must be installed, with its driver and selenium. In the browser, the page moves the mouse, and latency
-is from its event to the frame that the page is painted with, both on the page's clock.
+Chromium must be installed, with its driver and selenium. In the browser, the page moves the mouse; latency is
+from its event to the frame that the page is painted with, both on the page's clock.
 """
 
 from __future__ import annotations

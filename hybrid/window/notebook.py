@@ -40,8 +40,8 @@ def show(
 ) -> Any:
     """The window of `hybrid demo` as a widget, which a notebook shows where it is the value of a cell.
 
-    The mouse is the gaze; F1 lists the keys. There is one window at a time: another one closes the one before.
-    The scene is loaded, and rendered, on a thread of the kernel.
+    The mouse is the gaze; F1 lists the keys. There is one window at a time: another one closes it. The scene
+    is loaded, and rendered, on a thread of the kernel.
 
     Args:
         scene: name of a bundled scene, or path of a Mitsuba 3 XML file.

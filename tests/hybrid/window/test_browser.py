@@ -260,7 +260,8 @@ def spot(browser: Any) -> list[float]:
     """Where the disc is drawn on the page's canvas, as shares of its size; empty if it is not."""
     return browser.execute_script("""
         const canvas = document.querySelector('canvas');
-        const { data, width, height } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        const { width, height } = canvas;
+        const { data } = canvas.getContext('2d').getImageData(0, 0, width, height);
         let [count, x, y] = [0, 0, 0];
         for (let i = 0; i < data.length; i += 4)
           if (data[i] > 240) { count++; x += (i / 4) % width; y += Math.floor(i / 4 / width); }
