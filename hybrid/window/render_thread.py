@@ -86,6 +86,7 @@ class RenderThread:
         self._post(partial(self._listener.on_status, status))
 
     def _run(self) -> None:
+        source: FrameSource | None = None
         try:
             source = self._prepare(self._report)
             self._post(partial(self._listener.on_ready, source.ready()))
@@ -95,6 +96,9 @@ class RenderThread:
         except Exception as error:
             # The window closes, and raises it on the main thread.
             self._post(partial(self._listener.on_failure, error))
+        finally:
+            if source is not None:
+                source.close()
 
     def _report(self, done: int, total: int, label: str) -> None:
         if self._stopping.is_set():
@@ -116,6 +120,7 @@ class RenderThread:
                     said = str(error)
                 self._post(partial(self._listener.say, said))
             request = newer or request
-            if request is not None and (newer is not None or not loop.idle):
+            renewed = source.renew(self._report)
+            if request is not None and (newer is not None or renewed or not loop.idle):
                 self.frames.put(loop.make(request))
                 self._post(self._listener.on_frame)

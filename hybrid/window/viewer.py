@@ -21,6 +21,7 @@ from hybrid.window.controls import Controls
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput, GazeRecording, unused_file
 from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
+from hybrid.window.learning import ShownScene
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.meter import Meter, figures, lines_of, steadiness, summary
 from hybrid.window.navigation import Playback, Walker
@@ -371,10 +372,10 @@ def viewer_of(
     sensor: str | None = None,
 ) -> Viewer:
     """A viewer of a scene; arguments are those of commands. The trace is replayed instead of the mouse."""
-    # Training would take minutes of a measurement that is expected to take seconds.
-    trains = options.bench is None
-    prepare = partial(prepared, scene, forest, backend, trains, settings)
-    thread = RenderThread(partial(prepare, thin_glass=thin_glass, sensor=sensor))
+    shown = ShownScene(scene, thin_glass, sensor, backend)
+    # Learning would take time from what is measured.
+    learns = options.bench is None
+    thread = RenderThread(lambda report: prepared(shown, forest, learns, settings, report, thread.tell))
     return Viewer(thread, settings, trace, options)
 
 

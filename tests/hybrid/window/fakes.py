@@ -13,6 +13,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze, GazeTrace
+from hybrid.base.progress import Progress
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.messages import Newest, Ready, Request, ShownFrame
 from hybrid.window.render_thread import Post
@@ -50,6 +51,7 @@ class Source:
 
     def __init__(self, finished: bool = True):
         self.finished = finished
+        self.renewed = self.closed = False
         self.requests: list[Request] = []
         self.threads: set[int] = set()
 
@@ -60,6 +62,13 @@ class Source:
         self.requests.append(request)
         self.threads.add(threading.get_ident())
         return shown(request, finished=self.finished)
+
+    def renew(self, report: Progress) -> bool:
+        self.renewed, renewed = False, self.renewed
+        return renewed
+
+    def close(self) -> None:
+        self.closed = True
 
     def save(self, png: Path) -> None:
         if not png.parent.is_dir():

@@ -212,6 +212,19 @@ def test_a_status_may_come_from_any_thread(started):
     assert heard.statuses == ["learning: 31.2 dB after 40 s"]
 
 
+def test_what_has_changed_or_been_learnt_is_shown_at_once(started):
+    source = Source()
+    thread, heard = started(lambda report: source)
+    thread.requests.put(looking_at(0.1))
+    wait(lambda: len(heard.arrived) == 1)
+    source.renewed = True
+    wait(lambda: len(heard.arrived) == 2)
+    assert source.requests == [looking_at(0.1)] * 2
+    assert not source.closed
+    thread.stop()
+    assert source.closed
+
+
 def test_a_thread_that_was_not_started_stops():
     thread = RenderThread(lambda report: Source())  # type: ignore[arg-type, return-value]
     thread.stop()

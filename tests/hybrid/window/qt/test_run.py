@@ -19,6 +19,7 @@ from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window import main_window, viewer
+from hybrid.window.learning import ShownScene
 from hybrid.window.main_window import run_window
 from hybrid.window.viewer import WindowOptions, viewer_of
 from tests.hybrid.window.fakes import Source
@@ -47,18 +48,9 @@ def source(monkeypatch, backend) -> Source:
     """What is prepared; with a short warm-up."""
     source = Source()
 
-    def prepared(
-        scene: str,
-        forest: Path,
-        backend: str,
-        trains: bool,
-        settings: object,
-        report: object,
-        thin_glass: bool,
-        sensor: str | None,
-    ) -> Source:
-        assert (thin_glass, sensor) == (False, None)
-        assert (scene, forest, backend, trains, settings) == ("box", FOREST, "auto", False, INTERACTIVE)
+    def prepared(scene: ShownScene, forest: Path, learns: bool, settings: object, *more: object) -> Source:
+        assert (scene, forest) == (ShownScene("box"), FOREST)
+        assert (learns, settings) == (False, INTERACTIVE)
         return source
 
     monkeypatch.setattr(viewer, "prepared", prepared)
