@@ -45,7 +45,8 @@ def show(
 
     Args:
         scene: name of a bundled scene, or path of a Mitsuba 3 XML file.
-        forest: its forest file; the newest one of the scene if None, and if there is none, one is trained.
+        forest: its forest file. If None, the best one of the scene at hand, else one that takes seconds;
+            better ones follow while they are watched.
         settings: of frames, which the controls change; the view is that of the window.
         size: width and height of the frame in pixels, until the window is resized.
         target_fps: frames per second to keep, by choosing radius, samples, layers, rate and scale.

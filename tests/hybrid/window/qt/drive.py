@@ -90,7 +90,9 @@ def trains(folder: Path, closes: float) -> dict[str, object]:
     heart.timeout.connect(lambda: beats.append(time.monotonic()))
     heart.start(10)
     wait(lambda: window.viewer.shown is not None or (closes > 0 and len(said) > 0))
-    seen: dict[str, object] = {"said": sorted(set(said)), "pause": float(np.diff(beats).max())}
+    pauses = np.diff(beats)
+    wait(lambda: closes > 0 or window.viewer.status != "")
+    seen: dict[str, object] = {"said": sorted(set(said)), "pause": float(pauses.max()), "status": window.viewer.status}
     return ended(window, seen | {"shown": window.viewer.shown is not None})
 
 
