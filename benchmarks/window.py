@@ -2,7 +2,7 @@
 
     python -m benchmarks.window SCENE [--forest FILE] [--seconds 20] [--repeats 3] [--json FILE]
 
-Chromium must be installed, with its driver and selenium. In the browser, the page moves the mouse, and latency is
+Chromium must be installed, with its driver and selenium. In the browser, the page moves the mouse; latency is
 from its event to the frame that the page is painted with, both on the page's clock.
 """
 

@@ -46,11 +46,9 @@ def serve_window(viewer: Viewer, announce: Callable[[str], object], port: int = 
         UserError: the port cannot be taken.
         Exception: what ended the renderer.
     """
-    try:
+    # After an interruption, the command goes on with what was measured.
+    with suppress(KeyboardInterrupt):
         asyncio.run(_serve(viewer, announce, port))
-    except KeyboardInterrupt:
-        # The command goes on with what was measured.
-        pass
     if viewer.error is not None:
         raise viewer.error
 
@@ -86,10 +84,10 @@ async def _serve(viewer: Viewer, announce: Callable[[str], object], port: int) -
 def _answer(visitors: Visitors, connection: ServerConnection, request: Request) -> Response | None:
     """The page, or why there is none; None lets a page connect."""
     path, _, query = request.path.partition("?")
-    # A header that comes twice is None here and everywhere else.
-    host, origin = (request.headers.get_all(name) for name in ("Host", "Origin"))
-    port = connection.local_address[1]
-    if len(host) != 1 or len(origin) > 1 or not visitors.admits(query, host[0], (origin or [None])[0], port):
+    # Headers that come twice may be read otherwise elsewhere.
+    hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+    port, origin = connection.local_address[1], origins[0] if origins else None
+    if len(hosts) != 1 or len(origins) > 1 or not visitors.admits(query, hosts[0], origin, port):
         return _response(HTTPStatus.FORBIDDEN, "open the address that hybrid demo printed")
     if path == "/events":
         return None
@@ -137,7 +135,7 @@ class _Pages:
 
     async def _read(self, connection: ServerConnection, session: PageSession) -> None:
         async for message in connection:
-            self._shell.receive(session, message)
+            self._shell.receive(session, message if isinstance(message, str) else "")
 
 
 async def _send(connection: ServerConnection, message: dict[str, Any], picture: bytes) -> None:

@@ -34,7 +34,7 @@ class Command(Enum):
     LEAVE = "leave full screen; if not in a browser, close the window"
 
 
-# What a window has whose frames are anywhere is up to the shell.
+# What concerns the window itself: shells do it.
 OF_THE_SHELL = (Command.FULL_SCREEN, Command.LEAVE)
 COMMANDS: dict[str, Command | ShownView] = {
     " ": Command.HOLD,

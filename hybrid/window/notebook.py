@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import atexit
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from compose.base.errors import UserError
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.window.learning import ShownScene
-from hybrid.window.page import PageShell, asset
+from hybrid.window.page import PageSession, PageShell, asset
 from hybrid.window.viewer import WindowOptions, viewer_of
 
 _WIDGET = """
@@ -38,14 +39,15 @@ def show(
     folder: str | Path = ".",
     backend: str = "auto",
 ) -> Any:
-    """The window of `hybrid demo` for a notebook, which shows it where it is the value of a cell.
+    """The window of `hybrid demo` as a widget, which a notebook shows where it is the value of a cell.
 
-    The mouse is the gaze; F1 lists the keys. There is one window at a time: another one closes the one before.
-    The scene is loaded, and rendered, on a thread of the kernel.
+    The mouse is the gaze; F1 lists the keys. There is one window at a time: another one closes it. The scene
+    is loaded, and rendered, on a thread of the kernel.
 
     Args:
         scene: name of a bundled scene, or path of a Mitsuba 3 XML file.
-        forest: its forest file; if None, the newest forest of the scene, or one that is learnt while it is shown.
+        forest: its forest file. If None, the best one of the scene at hand, else one that takes seconds;
+            better ones follow while they are watched.
         settings: of frames, which the controls change; the view is that of the window.
         size: width and height of the frame in pixels, until the window is resized.
         target_fps: frames per second to keep, by choosing radius, samples, layers, rate and scale.
@@ -61,16 +63,13 @@ def show(
     Examples:
         >>> hybrid.show("room")
     """
-    try:
-        import anywidget
-    except ImportError as error:
-        raise UserError("hybrid.show requires: pip install 'foveated-hybrid-renderer[notebook]'") from error
-    try:
-        loop = asyncio.get_running_loop()
-    except RuntimeError as error:
-        raise UserError("hybrid.show: this is no notebook; run hybrid demo SCENE") from error
+    anywidget, loop = _requirements()
+    options = WindowOptions(size, 0.0, Path(folder), target_fps)
+    file = None if forest is None else Path(forest)
+    viewer = viewer_of(ShownScene(str(scene), backend=backend), file, settings, None, options)
+    shell = PageShell(viewer)
 
-    class Window(anywidget.AnyWidget):  # type: ignore[misc, unused-ignore]
+    class Window(anywidget.AnyWidget):  # type: ignore[misc, name-defined, unused-ignore]
         _esm = asset("window.js") + _WIDGET
         _css = asset("window.css")
 
@@ -83,31 +82,48 @@ def show(
             viewer.close()
             super().close()
 
-    for window in tuple(_open):
-        window.close()
-    options = WindowOptions(size, 0.0, Path(folder), target_fps)
-    file = None if forest is None else Path(forest)
-    viewer = viewer_of(ShownScene(str(scene), backend=backend), file, settings, None, options)
-    shell, widget = PageShell(viewer), Window()
+    for before in tuple(_open):
+        before.close()
+    widget = Window()
     _open.append(widget)
     # The renderer ends before Python does.
     atexit.register(widget.close)
-    tasks = [loop.create_task(shell.run())]
-    session = None
-
-    async def send(message: dict[str, Any], picture: bytes) -> None:
-        widget.send(message, [picture])
-
-    def receive(widget: Any, message: dict[str, Any], buffers: list[bytes]) -> None:
-        nonlocal session
-        if message.get("type") == "hello":
-            # A page that shows the cell, for the first time or again.
-            for task in tasks[1:]:
-                task.cancel()
-            session = shell.connect(send)
-            tasks[1:] = [loop.create_task(session.run())]
-        elif session is not None:
-            shell.receive(session, message)
-
-    widget.on_msg(receive)
+    widget.on_msg(_Cell(shell, loop).receive)
     return widget
+
+
+class _Cell:
+    """Where a widget is shown: passes on messages between its page and a shell."""
+
+    def __init__(self, shell: PageShell, loop: asyncio.AbstractEventLoop):
+        self._shell, self._loop = shell, loop
+        self._running = loop.create_task(shell.run())
+        self._session: PageSession | None = None
+        self._sending: asyncio.Task[None] | None = None
+
+    def receive(self, widget: Any, message: dict[str, Any], buffers: object) -> None:
+        """Takes a message; a page that shows the widget, for the first time or again, says hello."""
+        if message.get("type") != "hello":
+            if self._session is not None:
+                self._shell.receive(self._session, message)
+            return
+        if self._sending is not None:
+            self._sending.cancel()
+
+        async def send(message: dict[str, Any], picture: bytes) -> None:
+            widget.send(message, [picture])
+
+        self._session = self._shell.connect(send)
+        self._sending = self._loop.create_task(self._session.run())
+
+
+def _requirements() -> tuple[ModuleType, asyncio.AbstractEventLoop]:
+    """What makes widgets, and the loop of the kernel; UserError if one is missing."""
+    try:
+        import anywidget
+    except ImportError as error:
+        raise UserError("hybrid.show requires: pip install 'foveated-hybrid-renderer[notebook]'") from error
+    try:
+        return anywidget, asyncio.get_running_loop()
+    except RuntimeError as error:
+        raise UserError("hybrid.show: this is no notebook; run hybrid demo SCENE") from error

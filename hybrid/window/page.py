@@ -1,8 +1,8 @@
 """The window as a web page, wherever it is: what is sent to it, at which pace, and what comes back.
 
-Messages from the page are events (see hybrid.window.viewer) with `timestamp`, milliseconds of the page's clock,
-and one more: {"type": "shown", "frame", "timestamp"}, a frame is on the screen. Those to the page tell what has
-changed of the viewer's state; with a picture, `frame` has its number, and where the disc is in it.
+Messages from the page are events (see hybrid.window.viewer) with `timestamp`, milliseconds of the page's
+clock, and one more: {"type": "shown", "frame", "timestamp"}, a frame is on the screen. Those to the page tell
+what has changed of the viewer's state; with a picture, `frame` has its number, and where the disc is in it.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ class PageShell:
         if session is not self._session:
             return
         try:
-            session.receive(parse_json(message) if isinstance(message, str | bytes) else message)
+            session.receive(parse_json(message) if isinstance(message, str) else message)
         except ValueError as error:
             _LOG.info("the page sent what makes no sense: %s", one_line(error))
         self._ticked.set()

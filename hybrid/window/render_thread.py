@@ -32,7 +32,7 @@ class Listener(Protocol):
         """The forest has another number of layers from now on."""
 
     def on_frame(self) -> None:
-        """There is a frame in `frames`: if the message carried it, frames would pile up before a busy shell."""
+        """There is a frame in `frames`: if messages carried them, they would pile up before a busy shell."""
 
     def on_status(self, text: str) -> None:
         """A text that holds until another one replaces it."""

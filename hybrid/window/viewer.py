@@ -39,8 +39,8 @@ _MESSAGE = 5.0
 # Ends of the width and height of a canvas in pixels.
 _LEAST_SIDE, _MOST_SIDE = 16, 8192
 
-# What happens to a window, with "type" and what belongs to it; the names are those of rendercanvas. Points and
-# widths are in the shell's own units, in which a canvas has `width` and `height`.
+# What happens to a window, with "type" and what belongs to it; the names are those of rendercanvas. Points
+# and widths are in the shell's own units, in which a canvas has `width` and `height`.
 #   resize        width, height, pwidth, pheight (in pixels of the screen)
 #   pointer_move  x, y
 #   pointer_down, pointer_up   x, y, button (1: left)
@@ -95,7 +95,7 @@ def fitted(canvas: tuple[float, float], image: tuple[int, int]) -> tuple[float, 
 
 
 class Viewer:
-    """Looks at one scene, which a thread that is not started yet renders; a bench keeps the times of all frames.
+    """Looks at one scene, which a thread that is not started yet renders.
 
     Attributes:
         trace: replaces the mouse; None if the mouse is the gaze.
@@ -219,9 +219,9 @@ class Viewer:
         camera = shown.request.settings.camera
         # Before it has the window's size, the window has just been laid out; better frames come next. And not
         # before the first frame: a forest may be trained, or settings measured.
-        if self.bench is not None and not self.bench.has_begun and camera is not None:
-            if (camera.width, camera.height) == self.pixels:
-                self.bench.begin(time.perf_counter())
+        is_final = camera is not None and (camera.width, camera.height) == self.pixels
+        if self.bench is not None and not self.bench.has_begun and is_final:
+            self.bench.begin(time.perf_counter())
         self._shell.refresh()
 
     @property
