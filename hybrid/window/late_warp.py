@@ -13,9 +13,9 @@ from compose.camera.camera import Camera
 from compose.fovea.warping import CELL, grid, warped
 from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import PassClock, device_arrays
+from hybrid.window.frame_source import FrameSource
 from hybrid.window.messages import ShownFrame
 from pathtrace.trace.film import FilmPositions, pixel_positions
-from pathtrace.trace.tracer import Tracer
 
 # Distance along each axis up to which two viewpoints are the same: all depths look alike then.
 _SAME_VIEWPOINT = 1e-6
@@ -23,11 +23,11 @@ _SAME_VIEWPOINT = 1e-6
 _NEAREST = 1e-6
 
 
-def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame:
-    """A frame as the newest camera sees it, at the frame's size; as it is if that camera is its own.
+def late_warped(shown: ShownFrame, newest: Camera, source: FrameSource) -> ShownFrame:
+    """The last frame of a source as the newest camera sees it, at the frame's size.
 
-    Depths are those of the scene as the tracer shows it, at the frame's time. The disc stays where it was
-    traced. The time taken is that of a pass, "warp".
+    It is returned as it is if that camera is its own. The disc stays where it was traced. The time taken is
+    that of a pass, "warp".
     """
     if newest == shown.request.settings.camera:
         return shown
@@ -37,7 +37,7 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
     values = plain.Float(uploaded(dr.uint8_array_t(plain.Float), shown.image))
     dr.eval(values)
     image = DeviceImage(arrays, values, *size, camera.width)
-    flat = warped(image, _nearness(camera, newest, tracer), camera, newest).values
+    flat = warped(image, _nearness(camera, newest, source), camera, newest).values
     pixels = np.asarray(dr.uint8_array_t(plain.Float)(flat + 0.5)).reshape(shown.image.shape)
     clock.lap("warp")
     passes, took = dict(shown.milliseconds), clock.milliseconds()
@@ -45,7 +45,7 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
     return replace(shown, image=pixels, milliseconds=passes | took)
 
 
-def _nearness(camera: Camera, newest: Camera, tracer: Tracer) -> Any:
+def _nearness(camera: Camera, newest: Camera, source: FrameSource) -> Any:
     """Float, the inverse depth of what the camera sees in each cell; 0 if the newest one has only turned."""
     arrays, (rows, columns) = device_arrays(), grid(camera)
     plain = arrays.plain
@@ -54,7 +54,7 @@ def _nearness(camera: Camera, newest: Camera, tracer: Tracer) -> Any:
     corner = pixel_positions(dr.arange(plain.UInt, rows * columns), columns)
     centres = FilmPositions((corner.x + 0.5) * CELL, (corner.y + 0.5) * CELL, 0.0, 0.0)
     dr.eval(centres.x, centres.y)
-    position = tracer.auxiliary(camera, centres, 1, 0).position
+    position = source.renderer.tracer.auxiliary(camera, centres, 1, 0).position
     *axis, origin = arrays.scalars(plain.Float, camera.world_to_camera[2])
     depth = sum(plain.Float(at) * along for at, along in zip(position, axis, strict=True)) + origin
     return 1 / dr.maximum(depth, _NEAREST)
