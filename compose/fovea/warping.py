@@ -1,12 +1,11 @@
 """A finished image as another camera sees it, from depths of what it shows: for viewers who moved meanwhile.
 
-Each cell of the new view looks for the surface that it shows; each pixel looks up the image where that lies.
-Looking backwards leaves no cracks. A point of the new view at inverse depth w lies in the image where a cell
-is nearer, farther, or just as near: so w is that of the cell, which says where the point lies, and so on
-(Bowles et al. 2012, "Iterative Image Warping"). This comes to rest on a surface. Begun at several depths, it
-finds those that hide each other, of which the nearest is seen. Where none comes to rest, something has come
-into view from behind something else: there, the cell shows the farthest surface that it met, which is the
-background beside what had hidden it.
+Each cell of the new view searches the image for the surface that it shows, then each pixel looks up its colour:
+looking backwards leaves no cracks. A guess of a cell's depth says where in the image it would lie; the depth
+that is known there is the next guess (Bowles et al. 2012, "Iterative Image Warping"). The search converges on
+surfaces that the image shows. Begun at several depths, it finds those that hide each other, and the nearest
+one is seen. Where none converges, something has come into view from behind something else; there, the cell
+shows the farthest surface that it met, which is the background beside what had hidden it.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ CELL = 4
 # Ratio of inverse depths from which on two neighbouring cells show different surfaces.
 _EDGE = 1.2
 # Depths at which the search begins, from the nearest one to infinity, and its steps from each.
-_STARTS, _STEPS = 4, 3
+_STARTS, _STEPS = 4, 4
 # Pixels by which the nearest of these may move against what is infinitely far away: with one thing right
 # before the camera, hardly any would be left for all others.
 _REACH = 64.0
-# Pixels that the last step may still move what has come to rest.
-_REST = 1.0
+# Pixels by which the last step of a search that has converged may move.
+_CONVERGED = 1.0
 # Least depth, over that of an axis of length 1: what is beside or behind a camera lies beyond its frame.
 _LEAST = 1e-4
 
@@ -176,7 +175,7 @@ def _found(arrays: Arrays, views: _Views, nearness: Any) -> Any:
     for start in range(_STARTS):
         own = sight.seen_at(nearest * (1 - start / (_STARTS - 1)))
         position = sight.at(own)
-        least, ground, move = plain.Float(dr.inf), own, plain.Float(dr.inf)
+        least, background, move = plain.Float(dr.inf), own, plain.Float(dr.inf)
         for _ in range(_STEPS):
             j, i = (
                 plain.UInt(dr.clip(at * (1 / CELL), 0, plain.Float(end) - 1))
@@ -184,13 +183,14 @@ def _found(arrays: Arrays, views: _Views, nearness: Any) -> Any:
             )
             there = dr.gather(plain.Float, nearness, i * views.columns + j)
             farther = there < least
-            least, ground = dr.select(farther, there, least), dr.select(farther, own, ground)
+            least = dr.select(farther, there, least)
+            background = dr.select(farther, own, background)
             own, before = sight.seen_at(there), position
             position = sight.at(own)
             move = dr.maximum(*(dr.abs(a - b) for a, b in zip(position, before, strict=True)))
-        seen = dr.select(move < _REST, dr.maximum(seen, own), seen)
-    # The last search began at infinity: what it met lies beside what hides the ground.
-    return dr.select(seen < 0, ground, seen)
+        seen = dr.select(move < _CONVERGED, dr.maximum(seen, own), seen)
+    # The last search began at infinity: what it met lies beside what hides the background.
+    return dr.select(seen < 0, background, seen)
 
 
 def _taps(arrays: Arrays, x: Any, y: Any, width: Any, height: Any) -> list[tuple[Any, Any, Any]]:

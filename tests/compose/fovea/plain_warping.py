@@ -66,7 +66,7 @@ def _searched(nearness: Floats, pixel: Floats, nearest: float, camera: Camera, n
     for share in (1, 2 / 3, 1 / 3, 0):
         own = seen_at(nearest * share)
         position, met = seen_from(camera, newest, pixel, own), []
-        for _ in range(3):
+        for _ in range(4):
             j, i = np.clip(position / SIDE, 0, np.array(nearness.shape[::-1]) - 1).astype(int)
             met.append((nearness[i, j], own))
             own, before = seen_at(nearness[i, j]), position
