@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from queue import Empty, Queue
 from typing import TypeVar
@@ -61,12 +62,14 @@ class Request:
         gaze_time: time.perf_counter of the newest gaze movement that the settings include.
         target_fps: frames per second for which radius, samples, layers, rate and scale are chosen frame by
             frame; None leaves them as they are.
+        asked: time.perf_counter of when it was asked for; says nothing about the frame.
     """
 
     settings: FrameSettings
     view: ShownView = ShownView.COMPOSITE
     gaze_time: float = 0.0
     target_fps: float | None = None
+    asked: float = field(default_factory=time.perf_counter, compare=False)
 
     def same_frame(self, other: Request | None) -> bool:
         """Whether another request asks for the same frame, possibly at another time."""
@@ -81,7 +84,8 @@ class ShownFrame:
         request: what was asked for, with the settings that were chosen for it.
         frame: the hybrid frame behind the image.
         paths: traced for it.
-        milliseconds: of each pass that was run for it, and in total.
+        milliseconds: of each pass that was run for it, and in total; "wait", which is not part of that, from
+            when it was asked for until it was begun.
         path_traced_spp: samples per pixel of the path-traced frame; 0 if the view needs none.
         finished: whether the same request would yield no better image.
     """
@@ -109,6 +113,11 @@ class Newest(Queue[T]):
     def _init(self, maxsize: int) -> None:
         # As the other queues of the standard library choose how they are organized.
         self.queue = deque(maxlen=1)
+
+    def peek(self) -> T | None:
+        """The newest item, which stays in the slot; None if it is empty."""
+        with self.mutex:
+            return self.queue[0] if self.queue else None
 
     def take(self, timeout: float = 0.0) -> T | None:
         """Takes the newest item out of the slot; None if it is still empty after `timeout` seconds."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -13,6 +14,7 @@ from compose.base.errors import UserError
 from hybrid.base.progress import Progress
 from hybrid.window.frame_loop import FrameLoop, ladder_for
 from hybrid.window.frame_source import FrameSource
+from hybrid.window.late_warp import late_warped
 from hybrid.window.messages import Newest, Ready, Request, ShownFrame
 
 # Seconds between two checks of an idle thread whether it is to end.
@@ -126,5 +128,16 @@ class RenderThread:
                 self._post(partial(self._listener.say, said))
             request = newer or request
             if request is not None and (newer is not None or renewed or not loop.idle):
-                self.frames.put(loop.make(request))
+                begun = time.perf_counter()
+                shown = loop.make(request)
+                if newer is not None:
+                    wait = (begun - newer.asked) * 1000
+                    shown = replace(shown, milliseconds={"wait": wait, **shown.milliseconds})
+                self.frames.put(self._to_newest_view(shown, source))
                 self._post(self._listener.on_frame)
+
+    def _to_newest_view(self, shown: ShownFrame, source: FrameSource) -> ShownFrame:
+        """A frame that is ready, as the camera sees it that has been asked for meanwhile."""
+        latest = self.requests.peek()
+        camera = None if latest is None else latest.settings.camera
+        return shown if camera is None else late_warped(shown, camera, source)

@@ -16,6 +16,16 @@ def test_the_newest_item_is_taken_once():
     assert slot.take() is None
 
 
+def test_a_look_at_the_newest_item_leaves_it_there():
+    slot: Newest[int] = Newest()
+    assert slot.peek() is None
+    for item in range(3):
+        slot.put(item)
+    assert slot.peek() == 2
+    assert slot.take() == 2
+    assert slot.peek() is None
+
+
 def test_taking_from_an_empty_slot_gives_up():
     assert Newest[int]().take(0.01) is None
 

@@ -24,7 +24,7 @@ REQUEST = Request(SETTINGS, ShownView.SPLIT, 5.0, 15.0)
 
 
 def test_the_same_frame_may_be_asked_for_at_another_time_with_an_equal_camera():
-    again = Request(replace(SETTINGS, camera=camera()), ShownView.SPLIT, 6.0, 15.0)
+    again = Request(replace(SETTINGS, camera=camera()), ShownView.SPLIT, 6.0, 15.0, REQUEST.asked + 1)
     assert again.settings.camera is not SETTINGS.camera
     assert REQUEST.same_frame(again)
 

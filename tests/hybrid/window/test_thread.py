@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from compose.eye.gaze import Gaze
-from hybrid.window.messages import Ready, Request
+from hybrid.window.messages import Ready, Request, ShownFrame
 from hybrid.window.render_thread import RenderThread
 from tests.hybrid.window.fakes import CAMERA, REQUEST, Source
 
@@ -162,6 +162,43 @@ def test_of_requests_that_come_meanwhile_only_the_newest_is_rendered(started):
     busy.set()
     wait(lambda: source.requests and source.requests[-1] == looking_at(0.4))
     assert [request.settings.gaze.x for request in source.requests] == [0.1, 0.4]
+
+
+def test_a_late_frame_is_shown_from_the_newest_camera(started, monkeypatch):
+    source, busy, warps = Source(), threading.Event(), []
+    elsewhere = looking_at(0.3)
+    elsewhere = replace(elsewhere, settings=replace(elsewhere.settings, camera=CAMERA.moved_right(1.0)))
+
+    def show(request: Request, quick: bool, plain: Any = source.show) -> Any:
+        busy.wait(60)
+        return plain(request, quick)
+
+    def warp(shown: ShownFrame, *newest: object) -> ShownFrame:
+        warps.append(newest)
+        return replace(shown, paths=-1)
+
+    source.show = show  # type: ignore[method-assign]
+    monkeypatch.setattr("hybrid.window.render_thread.late_warped", warp)
+    thread, heard = started(lambda report: source)
+    handed, put = [], thread.frames.put
+    monkeypatch.setattr(thread.frames, "put", lambda frame: (handed.append(frame), put(frame)))
+    thread.requests.put(looking_at(0.1))
+    wait(lambda: not thread.requests.qsize())
+    thread.requests.put(elsewhere)
+    busy.set()
+    wait(lambda: len(heard.arrived) == 2)
+    assert warps == [(elsewhere.settings.camera, source)]
+    assert [(frame.request, frame.paths) for frame in handed] == [(looking_at(0.1), -1), (elsewhere, 6_789)]
+
+
+def test_the_wait_before_a_frame_is_reported(started):
+    thread, heard = started(lambda report: Source())
+    thread.requests.put(replace(looking_at(0.1), asked=time.perf_counter() - 2))
+    wait(lambda: heard.arrived)
+    frame = thread.frames.take()
+    assert frame is not None
+    assert [*frame.milliseconds] == ["wait", "trace", "splat", "total"]
+    assert frame.milliseconds["wait"] >= 2000
 
 
 def test_files_are_written_and_named_and_so_is_what_is_wrong_with_them(started, tmp_path):
