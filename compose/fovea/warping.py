@@ -1,11 +1,11 @@
 """A finished image as another camera sees it, from depths of what it shows: for viewers who moved meanwhile.
 
 Each cell of the new view searches the image for the surface that it shows, then each pixel looks up its
-colour: looking backwards leaves no cracks. A guess of the depth says where in the image it would lie; the depth
-that is known there is the next guess (Bowles et al. 2012, "Iterative Image Warping"). The search converges on
-surfaces that the image shows. Begun at several depths, it finds those that hide each other, and the nearest
-one is seen. Where none converges, something has come into view from behind something else; there, the cell
-shows the farthest surface that it met, which is the background beside what had hidden it.
+colour: looking backwards leaves no cracks. A guess of the depth says where in the image it would lie; the
+depth that is known there is the next guess (Bowles et al. 2012, "Iterative Image Warping"). The search
+converges on surfaces that the image shows. Begun at several depths, it finds those that hide each other, and
+the nearest one is seen. Where none converges, something has come into view from behind something else; there,
+the cell shows the farthest surface that it met, which is the background beside what had hidden it.
 """
 
 from __future__ import annotations
