@@ -140,8 +140,12 @@ class PageSession:
             settings = shown.request.settings
             disc = {"x": settings.gaze.x, "y": settings.gaze.y, "radius": settings.fov_a / 100}
             message["frame"] = {"number": self._number, **disc}
-            encoding = asyncio.get_running_loop().run_in_executor(None, encoded, shown.image, quality)
-            picture = await encoding
+            if quality is None:
+                loop = asyncio.get_running_loop()
+                picture = await loop.run_in_executor(None, encoded, shown.image, None)
+            else:
+                # A millisecond here is less than a thread takes to get its turn beside the renderer's.
+                picture = encoded(shown.image, quality)
         if message:
             await self._send(message, picture)
 

@@ -13,6 +13,7 @@ from compose.eye.gaze import Gaze, GazeTrace, simulated
 from hybrid.cli import demo as command
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.window import qt_check, viewer
+from hybrid.window.learning import ShownScene
 from hybrid.window.viewer import WindowOptions
 from tests.hybrid.command import run
 
@@ -52,6 +53,7 @@ def test_every_option_reaches_the_window(given, monkeypatch, tmp_path, capsys):
     options += ["--latency", 50, "--out", tmp_path, "--bench", 9, "--load", 4, "--display", "hmd"]
     options += [
         "--play",
+        "--no-learning",
         "--thin-glass",
         "--sensor",
         "door",
@@ -63,7 +65,8 @@ def test_every_option_reaches_the_window(given, monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, "demo", "room", *options) == 0
     settings = FrameSettings(fov_a=30, fov_b=10, spp=2, acuity_model="fov-gs", display="hmd")
     window = WindowOptions((100, 80), 0.05, tmp_path, 15.0, 9.0, 4.0, True)
-    assert given == [("room", tmp_path / "f", "llvm", settings, trace, window, True, "door"), "Qt"]
+    scene = ShownScene("room", True, "door", "llvm")
+    assert given == [(scene, tmp_path / "f", settings, trace, window, False), "Qt"]
     assert json.loads((tmp_path / "d.json").read_text()) == {"frames": 3}
     assert capsys.readouterr().out == "3 frames\n"
 
@@ -72,14 +75,14 @@ def test_without_options_the_mouse_is_the_gaze(given, monkeypatch, tmp_path, cap
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, command.demo.__name__, "room") == 0
     window = WindowOptions((640, 480), 0.0, Path("."), None, None, 0.0)
-    assert given == [("room", None, "auto", INTERACTIVE, None, window, False, None), "Qt"]
+    assert given == [(ShownScene("room"), None, INTERACTIVE, None, window, True), "Qt"]
     assert capsys.readouterr().out == ""
 
 
 def test_a_simulated_viewer_is_one_of_the_display_window_and_seed(given, monkeypatch, tmp_path):
     options = ["--simulate", "--seed", 7, "--size", 100, 80, "--display", "hmd", "--out", tmp_path]
     assert run(monkeypatch, "demo", "room", *options) == 0
-    (_, _, _, settings, trace, *_), _ = given
+    (_, _, settings, trace, *_), _ = given
     assert trace == simulated(settings.display, 100, 80, 60.0, 7)
 
 
