@@ -82,7 +82,9 @@ def demo(
     ] = False,
     port: Annotated[
         int | None,
-        typer.Option(help="Port for the browser. Default: a free one.", min=1, max=65535),
+        typer.Option(
+            help="Port for the browser, also without --browser. Default: a free one.", min=1, max=65535
+        ),
     ] = None,
     display: o.DisplayName = "desktop",
     thin_glass: o.ThinGlass = False,
