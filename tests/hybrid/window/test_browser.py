@@ -187,6 +187,25 @@ def test_other_sites_get_nothing(served):
         received(page, "frame")
 
 
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        b"\x00\xff\r\n\r\n",
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET /?token=\xff HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nX: " + b"x" * (1 << 20),
+    ],
+)
+def test_what_no_browser_sends_harms_nobody(served, capfd, sent):
+    with socket.create_connection(("127.0.0.1", served.port), timeout=60) as raw, suppress(ConnectionError):
+        raw.sendall(sent)
+        raw.shutdown(socket.SHUT_WR)
+        assert b" 200 " not in raw.recv(99)
+    assert served.get()[0] == 200
+    assert capfd.readouterr().err == ""
+
+
 def test_what_makes_no_sense_and_what_is_too_large_harms_nobody(served):
     with served.connect() as page:
         received(page, "frame")
