@@ -56,9 +56,7 @@ def serve(
         raise UserError("--certificate, --key: TLS takes both")
     tls = None if certificate is None or key is None else tls_context(certificate, key)
     if tls is None and not insecure and not is_loopback(host):
-        raise UserError(
-            f"--host {host}: beyond this machine, the token must not be readable; give --certificate and --key"
-        )
+        raise UserError(f"--host {host}: anybody could read the token; give --certificate and --key")
     settings = FrameSettings(
         level=1.0 if level is None else level, gaussians=gaussians, acuity_model=acuity_model
     )

@@ -15,6 +15,7 @@ import time
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
@@ -54,7 +55,8 @@ _MOST_MASKS = 32
 # Share of the views that the server takes, so that it never gets more of them.
 _PACE = 0.9
 _POLL = 0.1
-_View = tuple[Camera, Gaze, Display]
+# What a viewer sees, where they look, and on what.
+View: TypeAlias = tuple[Camera, Gaze, Display]
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ class Remote:
         cut: the newest one; None before the first.
         trouble: why there is no connection, in a line; empty while there is one.
         changed: is set when there is another cut, or other trouble.
+        sent: number of the newest view that was sent, and that view.
         bytes: of all masks so far.
     """
 
@@ -95,9 +98,8 @@ class Remote:
         self.cut: Cut | None = None
         self.trouble, self.bytes = "not connected yet", 0
         self.changed = threading.Event()
-        self._view: _View | None = None
-        # The newest view that was sent, and its number.
-        self._sent: tuple[int, _View | None] = 0, None
+        self._view: View | None = None
+        self.sent: tuple[int, View | None] = 0, None
         self._progress = 0, 1
         self._ready, self._failure = threading.Event(), ""
         self._loop = asyncio.new_event_loop()
@@ -127,7 +129,7 @@ class Remote:
     @property
     def is_current(self) -> bool:
         """Whether the newest cut is the one for the view that was asked for last."""
-        sequence, view = self._sent
+        sequence, view = self.sent
         return self.cut is not None and self.cut.sequence == sequence and view is self._view
 
     def close(self) -> None:
@@ -239,18 +241,18 @@ class Remote:
 
     async def _send_views(self, connection: ClientConnection, received: _Received) -> None:
         pace, due = 1 / (_PACE * self.welcome.rate), 0.0
-        last: _View | None = None
+        last: View | None = None
         while True:
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._news.wait(), _AGAIN)
             await asyncio.sleep(max(0.0, due - time.monotonic()))
             self._news.clear()
-            view, (sequence, _) = self._view, self._sent
+            view, (sequence, _) = self._view, self.sent
             if view is None or (view is last and received.sequence == sequence):
                 continue
             last, due = view, time.monotonic() + pace
             # Before it is sent: its mask may come at once.
-            self._sent = sequence + 1, view
+            self.sent = sequence + 1, view
             await connection.send(ViewMessage(sequence + 1, received.held, *view).packed())
 
     async def _take_masks(self, connection: ClientConnection, received: _Received) -> None:

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -50,8 +51,9 @@ from splat.model.cuts import Bits
 from splat.model.forest import Forest
 
 _LOG = logging.getLogger("hybrid")
-# Masks on their way to a client, or back as an answer: at 60 per second, 0.2 seconds of them.
-_MOST_UNANSWERED = 12
+# Masks on their way to a client, or back as an answer: at 60 per second, .4 seconds of them, for which one
+# lost packet may hold up all that follow.
+_MOST_UNANSWERED = 24
 # Bytes of the forest in one message, and bytes to a client that wait to be sent: as many messages of a mask.
 _PART, _MOST_WAITING = 1 << 16, 1 << 16
 # Messages of a client that wait to be read.
@@ -221,11 +223,8 @@ class ViewServer:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
-        except ConnectionClosed as closed:
-            sent = closed.sent
-            # Not those who leave, nor all when the server goes away.
-            if sent is not None and not closed.rcvd_then_sent and sent.code != CloseCode.GOING_AWAY:
-                connection.fault = connection.fault or f"ended: {one_line(sent.reason) or sent.code}"
+        except ConnectionClosed:
+            pass  # it says why itself
         except asyncio.TimeoutError:
             connection.fault = f"ended: took nothing for {self._limits.patience:g} s"
             connection.transport.abort()
@@ -305,7 +304,7 @@ class _Client:
         self._view: ViewMessage | None = None
         self._sequence = self._held = self._number = 0
         # With the times when they were sent, from the one that the client is known to have; and the last one.
-        self._masks: dict[int, tuple[float, Bits]] = {}
+        self._masks: dict[int, tuple[float, NDArray[np.uint8]]] = {}
         self.last: Bits | None = None
 
     def accept(self, view: ViewMessage) -> None:
@@ -329,12 +328,15 @@ class _Client:
 
     def base(self) -> tuple[int, Bits | None]:
         """Number of the newest mask that the client is known to have, and that mask; 0 and None for none."""
-        return self._held, self._masks[self._held][1] if self._held else None
+        if not self._held or self.last is None:
+            return 0, None
+        packed = self._masks[self._held][1]
+        return self._held, np.unpackbits(packed, count=len(self.last)).view(np.bool_)
 
     def sends(self, split: Bits) -> int:
         """Number of the next mask, which the client may have from now on."""
         self._number += 1
-        self.last, self._masks[self._number] = split, (time.monotonic(), split)
+        self.last, self._masks[self._number] = split, (time.monotonic(), np.packbits(split))
         return self._number
 
     async def send(self, message: str | bytes) -> None:
@@ -364,6 +366,10 @@ class _Connection(ServerConnection):
 
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
+        sent = self.protocol.close_sent
+        # Not those who leave, nor all when the server goes away.
+        if sent is not None and not self.protocol.close_rcvd_then_sent and sent.code != CloseCode.GOING_AWAY:
+            self.fault = self.fault or f"ended: {one_line(sent.reason) or sent.code}"
         self._view_server.closed(self)
 
     def data_received(self, data: bytes) -> None:
