@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
+import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -84,6 +85,8 @@ def serve(
         if token_file is None:
             print(f"token: {token}", flush=True)
 
+    # As Ctrl-C: what runs services ends them so.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(server.run(Listening(host, port, tls), announce))
     o.write_json(json_file, server.facts)

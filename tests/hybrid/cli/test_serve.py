@@ -28,7 +28,8 @@ def token(tmp_path) -> Path:
     return file
 
 
-def test_a_server_serves_until_it_is_interrupted(made, tmp_path):
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_a_server_serves_until_it_is_interrupted(made, tmp_path, end):
     facts = tmp_path / "facts.json"
     command = [sys.executable, "-m", "hybrid.cli.main", "serve", "cornell", "--forest", made / "box.forest"]
     command += ["--port", 0, "--json", facts]
@@ -43,7 +44,7 @@ def test_a_server_serves_until_it_is_interrupted(made, tmp_path):
         remote.wait(lambda done, total, label: None)
         assert remote.welcome.scene == "cornell"
         remote.close()
-        process.send_signal(signal.SIGINT)
+        process.send_signal(end)
         rest = process.stdout.read()
     assert process.returncode == 0
     # The token is printed once.
