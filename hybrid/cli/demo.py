@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from compose.base.errors import UserError
 from compose.eye.gaze import MOST_SECONDS, load_gaze_trace, simulated
 from hybrid.cli import options as o
+from hybrid.cli.serve import TokenFile, read_token, require_network
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
+
+if TYPE_CHECKING:
+    from hybrid.window.messages import Server
 
 # Duration of a simulated gaze trace in seconds.
 _SIMULATED = 60.0
 
 
 def demo(
-    scene: o.SceneName,
+    scene: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENE]", help="Name of a bundled scene, or a Mitsuba XML file; none with --server."
+        ),
+    ] = None,
     forest: o.ForestFile = None,
     size: o.FixedSize = (640, 480),
     fov_a: o.FovA = INTERACTIVE.fov_a,
@@ -89,6 +99,15 @@ def demo(
     display: o.DisplayName = "desktop",
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
+    server: Annotated[
+        str | None,
+        o.network(metavar="URL", help="Draw what a server (`hybrid serve`) decides: wss://HOST:PORT."),
+    ] = None,
+    token_file: TokenFile = None,
+    ca: Annotated[
+        Path | None,
+        o.network("--ca", metavar="PEM", help="Certificates that the server's may be signed with."),
+    ] = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
     json_file: o.Json = None,
@@ -109,6 +128,9 @@ def demo(
         level=level,
         gaussians=gaussians,
     )
+    remote = _server(scene, server, token_file, ca)
+    if target is not None and remote is not None:
+        raise UserError("--target: measures paths, which --server has none of")
     if target is not None and settings.is_continuous:
         raise UserError("--target: chooses layers; leave out --level and --gaussians")
     o.check_writable(out / "picture.png")
@@ -126,11 +148,19 @@ def demo(
     if why is not None:
         print(f"in a browser, since {why}", flush=True)
     from hybrid.window.learning import ShownScene
-    from hybrid.window.viewer import WindowOptions, viewer_of
+    from hybrid.window.viewer import Viewer, WindowOptions, viewer_of
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
-    shown = ShownScene(scene, thin_glass, sensor, backend)
-    viewer = viewer_of(shown, forest, settings, trace, options, learning)
+    if remote is not None:
+        from hybrid.window.remote.source import prepared_remote
+        from hybrid.window.render_thread import RenderThread
+
+        viewer = Viewer(
+            RenderThread(partial(prepared_remote, remote, backend)), settings, trace, options
+        )
+    else:
+        shown = ShownScene(str(scene), thin_glass, sensor, backend)
+        viewer = viewer_of(shown, forest, settings, trace, options, learning)
     if browser or port is not None or why is not None:
         from hybrid.window.browser import serve_window
 
@@ -143,3 +173,21 @@ def demo(
     o.write_json(json_file, found)
     if bench is not None:
         print(summary)
+
+
+def _server(
+    scene: str | None, server: str | None, token_file: Path | None, authority: Path | None
+) -> Server | None:
+    """The server that has what is shown; None for a scene that is here."""
+    if (scene is None) == (server is None):
+        raise UserError("SCENE, --server: name one of them")
+    if server is None:
+        if token_file is not None or authority is not None:
+            raise UserError("--token-file, --ca: are for --server")
+        return None
+    require_network()
+    if token_file is None:
+        raise UserError("--server: asks for a token; give --token-file")
+    from hybrid.window.messages import Server
+
+    return Server(server, read_token(token_file), authority)

@@ -22,6 +22,7 @@ from hybrid.cli.progress import messages_as_lines
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
+from hybrid.cli.serve import serve
 from hybrid.cli.study import study_app
 from hybrid.cli.sweep import sweep
 from hybrid.cli.train import train
@@ -43,6 +44,7 @@ for command in (
     levels,
     render,
     demo,
+    serve,
     evaluate,
     sweep,
 ):

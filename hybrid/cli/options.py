@@ -61,9 +61,9 @@ def finite(value: float | None) -> float | None:
 
 
 # Options in the groups of the help.
-frame, viewer, inputs, measurement, run = (
+frame, viewer, inputs, measurement, network, run = (
     partial(typer.Option, rich_help_panel=group)
-    for group in ("Frame", "Viewer", "Input", "Measurement", "Run")
+    for group in ("Frame", "Viewer", "Input", "Measurement", "Network", "Run")
 )
 
 SceneName = Annotated[

@@ -18,6 +18,7 @@ from compose.fovea.foveation import FoveaRegion
 from hybrid.render.frame_settings import FrameSettings
 from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer, finest_frequency
 from splat.lod.layer_images import CONTINUOUS, LayerImage, SplatImage, Under, touched_corners
+from splat.model.cuts import Bits
 from splat.model.forest import Forest
 from splat.raster.tiles import TILE
 
@@ -83,6 +84,17 @@ class ViewSaliency:
         return float(np.mean((depth > 0) & (moved < CELL))) >= _SHARE
 
 
+def continuous_levels(level: float, cutoff: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Standard deviations in pixels that Gaussians may have where frequencies up to a cut-off are resolved.
+
+    Args:
+        level: in the finest details that are resolved.
+        cutoff: in cycles per pixel.
+    """
+    # What is resolved, at most half a cycle per pixel, takes two samples per cycle.
+    return np.float32(level * 0.5) / np.maximum(cutoff, np.float32(_COARSEST_CUTOFF))
+
+
 # The detail map's cells are the rasterizer's tiles.
 assert CELL == TILE
 
@@ -97,6 +109,15 @@ class Periphery:
         # What the layers of the last still view were drawn for; their images; the finest one as a whole.
         self._kept: tuple[tuple[object, ...], CachedLayerImages, SplatImage] | None = None
         self._time = 0.0
+        self._holds_cut = False
+
+    def hold_cut(self, drawn: Bits) -> None:
+        """Draws these nodes (N + M,) of the hierarchy wherever levels are continuous.
+
+        What draws attention in the picture has no part in the detail then, as it had none in the cut.
+        """
+        self._holds_cut = True
+        self._renderer.hold_cut(drawn)
 
     def set_time(self, time: float) -> None:
         """Shows the forest at a time from 0 to 1 in what is drawn from now on."""
@@ -133,7 +154,7 @@ class Periphery:
             ACUITY_MODELS[settings.acuity_model],
             settings.hidden_radius,
             layers,
-            None if unlimited else self._saliency.of(camera, moving),
+            None if unlimited or self._holds_cut else self._saliency.of(camera, moving),
         )
         if not settings.is_continuous:
             return detail
@@ -176,9 +197,7 @@ class Periphery:
             raise UserError(f"layers {settings.layers}: continuous levels of detail have none; leave out one")
         if self.forest.motion is not None or self.forest.light is not None:
             raise UserError(f"level, gaussians: something moves in the forest of {self.forest.scene_name}")
-        # What is resolved, at most half a cycle per pixel, takes two samples per cycle.
-        resolved = np.maximum(detail.cutoff, np.float32(_COARSEST_CUTOFF))
-        levels = np.float32((settings.level or 1.0) * 0.5) / resolved
+        levels = continuous_levels(settings.level or 1.0, detail.cutoff)
         if settings.gaussians is not None:
             levels *= np.float32(self._renderer.least_factor(camera, levels, settings.gaussians))
         return levels

@@ -14,6 +14,7 @@ from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
+from splat.model.cuts import Bits
 from splat.model.forest import Forest
 
 
@@ -33,6 +34,10 @@ class SplatRenderer:
     def __init__(self, forest: Forest):
         self.forest, self._arrays = forest, device_arrays()
         self._periphery = Periphery(self._arrays, forest)
+
+    def hold_cut(self, drawn: Bits) -> None:
+        """Draws these nodes (N + M,) of the forest's hierarchy wherever levels are continuous."""
+        self._periphery.hold_cut(drawn)
 
     def frame(self, settings: FrameSettings) -> Frame:
         """Renders one frame, of whose disc no pixel is traced.

@@ -183,6 +183,8 @@ def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[Mea
     The request has the window's size, acuity model and display. UserError if the cache folder cannot be
     written, or if a file in it is damaged.
     """
+    if not source.has_scene:
+        return [MeasuredSettings(like.settings, 1.0, 0.0)]
     window = like.settings.camera or source.camera
     camera = source.camera.resized(window.width, window.height)
     settings = replace(like.settings, camera=camera, gaze=Gaze(), scale=1.0)

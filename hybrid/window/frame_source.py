@@ -40,6 +40,9 @@ _RELEASE_EVERY = 2.0
 class FrameSource:
     """Frames of one scene, which may change and be learnt meanwhile if it is watched."""
 
+    # Whether the scene is here, to trace and to measure against.
+    has_scene = True
+
     def __init__(self, renderer: LiveRenderer, watched: Watched | None = None, forest: Path | None = None):
         """Also takes the file of the renderer's forest, from which a changed scene is learnt."""
         self.renderer, self._watched, self._forest = renderer, watched, forest

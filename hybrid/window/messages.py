@@ -6,6 +6,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from pathlib import Path
 from queue import Empty, Queue
 from typing import TypeVar
 
@@ -33,6 +34,21 @@ class Ready:
     distance: float
     layers: int
     seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class Server:
+    """A scene that is elsewhere: the server that decides what is drawn of it.
+
+    Attributes:
+        address: ws:// or wss://, host and port.
+        token: that the server asks for.
+        authority: PEM file of certificates that the server's may be signed with; None for the system's.
+    """
+
+    address: str
+    token: str = field(repr=False)
+    authority: Path | None = None
 
 
 class ShownView(Enum):
@@ -88,6 +104,7 @@ class ShownFrame:
             when it was asked for until it was begun.
         path_traced_spp: samples per pixel of the path-traced frame; 0 if the view needs none.
         finished: whether the same request would yield no better image.
+        notice: a line for the viewer; empty for none.
     """
 
     image: NDArray[np.uint8]
@@ -97,6 +114,7 @@ class ShownFrame:
     milliseconds: dict[str, float]
     path_traced_spp: int
     finished: bool
+    notice: str = ""
 
     @property
     def spp(self) -> float:

@@ -54,7 +54,7 @@ class Meter:
 
 def lines_of(shown: ShownFrame, meter: Meter) -> list[str]:
     """Lines that tell how long frames take, what was drawn, and with which settings."""
-    lines = []
+    lines = [shown.notice] if shown.notice else []
     if meter.intervals:
         p50, p95 = np.percentile([1000 * seconds for _, seconds in meter.intervals], [50, 95])
         lines.append(f"frame {p50:.0f} ms (p95 {p95:.0f}), {1000 / p50:.1f} FPS")

@@ -140,4 +140,6 @@ class RenderThread:
         """A frame that is ready, as the camera sees it that has been asked for meanwhile."""
         latest = self.requests.peek()
         camera = None if latest is None else latest.settings.camera
-        return shown if camera is None else late_warped(shown, camera, source)
+        if camera is None or not source.has_scene:
+            return shown
+        return late_warped(shown, camera, source)

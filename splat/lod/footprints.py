@@ -19,6 +19,7 @@ from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
 from compose.camera.camera import Camera
 from splat.lod.layer_images import CONTINUOUS, Lattice
+from splat.model.cuts import Bits
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
 from splat.model.gaussians import Directional, Gaussians, as_rows
@@ -187,6 +188,11 @@ class ForestFootprints:
     def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
         """What levels are to be multiplied by, 1 or more, for at most so many nodes to be drawn."""
         return self.cut.selection.least_factor(self._place.camera(camera), levels, most)
+
+    def hold_cut(self, drawn: Bits) -> None:
+        """Draws no other nodes of the hierarchy than these (N + M,), whatever levels ask for."""
+        self.cut.selection.hold(drawn)
+        self._layers.pop(CONTINUOUS, None)
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> tuple[Records, Any, int] | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates.

@@ -40,6 +40,7 @@ from splat.lod.layer_images import (
     pack_atlas,
 )
 from splat.lod.node_selection import EntryTable, chosen
+from splat.model.cuts import Bits
 from splat.model.forest import Forest
 from splat.model.gaussians import Blending
 from splat.raster.binning import Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
@@ -114,6 +115,10 @@ class ForestRenderer:
     def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
         """What continuous levels must be multiplied by, 1 or more, for at most so many nodes to be drawn."""
         return self._footprints.least_factor(camera, levels, most)
+
+    def hold_cut(self, drawn: Bits) -> None:
+        """Draws no other nodes of the hierarchy than these (N + M,), whatever levels ask for."""
+        self._footprints.hold_cut(drawn)
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.

@@ -108,6 +108,15 @@ class HierarchyNodes:
     radius: NDArray[np.float32]  # (N + M,) within which of its centre all centres below a node lie
     leaves: int  # N
 
+    def siblings(self) -> Ints:
+        """(N + M,) the other child of each node's parent; of a root itself."""
+        found = np.arange(len(self.parent))
+        below = np.flatnonzero(self.parent >= 0)
+        # Both children of a parent follow each other.
+        pairs = below[np.argsort(self.parent[below], kind="stable")].reshape(-1, 2)
+        found[pairs] = pairs[:, ::-1]
+        return found
+
     def levels(self, count: int, ratio: int) -> list[Gaussians]:
         """Up to `count` levels of detail, the leaves first, each with a `ratio`-th of the nodes before.
 

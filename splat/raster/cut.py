@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays, uploaded
 from compose.base.frozen import Frozen
 from compose.camera.camera import Camera
+from splat.model.cuts import Bits
 from splat.model.hierarchy import HierarchyNodes
 from splat.raster.projection import (
     NEAR,
@@ -62,6 +63,14 @@ class HierarchyCut:
         # Roots turn into nothing, so any parent will do.
         self._parent = uploaded(arrays.plain.UInt, above.astype(np.uint32))
         self._is_heir = uploaded(arrays.plain.Float, nodes.is_heir.astype(np.float32))
+        self._sibling = nodes.siblings()
+        self._held: Any = None
+
+    def hold(self, drawn: Bits) -> None:
+        """Draws no other nodes from now on than these (N + M,), whatever levels ask for."""
+        # Where a sibling is split, what is below it would not turn into their parent along with a node.
+        state = drawn.astype(np.uint32) + (drawn & drawn[self._sibling])
+        self._held = uploaded(self._arrays.plain.UInt, state)
 
     def nodes(self, camera: Camera, levels: Lattice, blur: float) -> tuple[Any, Turned]:
         """Indices UInt (K,) of the nodes to draw, and what they turn into.
@@ -73,7 +82,9 @@ class HierarchyCut:
         """
         arrays, index = self._arrays, dr.zeros(self._arrays.plain.UInt, 0)
         if self._count:
-            drawn, turned = _drawn(arrays, *self._view(camera, levels, blur))
+            view = self._view(camera, levels, blur)
+            found = _drawn(arrays, *view) if self._held is None else _kept(arrays, self._held, *view)
+            drawn, turned = found
             index = dr.compress(drawn)
         if not dr.width(index):
             return index, Turned(index, *(dr.zeros(arrays.plain.Float, 0) for _ in range(2)))
@@ -182,6 +193,21 @@ def drawn_nodes(arrays: Arrays, *parts: Any) -> tuple[Any, Any]:
     return drawn, dr.select(drawn, turned, 0)
 
 
+def kept_nodes(arrays: Arrays, held: Any, *parts: Any) -> tuple[Any, Any]:
+    """What `drawn_nodes` returns, of nodes that are chosen.
+
+    Args:
+        held: UInt for each node, 0 if it is not drawn, 2 if its sibling is as well, which lets both turn.
+    """
+    below, above, shows, parent_shows = octaves_too_large(arrays, *parts)
+    held = dr.gather(arrays.plain.UInt, held, dr.arange(arrays.plain.UInt, dr.width(below)))
+    passed, rest = dr.maximum(-below, 0), dr.maximum(above, 0)
+    way = dr.select((held == 2) & (above < np.inf) & (passed > 0), passed / (passed + rest), 0)
+    turned = dr.clip((way - (1 - _FADE)) * (1 / _FADE), 0, 1)
+    drawn = (held > 0) & dr.select(turned > 0, parent_shows, shows)
+    return drawn, dr.select(drawn, turned, 0)
+
+
 def changes_of_count(arrays: Arrays, *parts: Any) -> Any:
     """By how much the number of nodes that are drawn changes at each step of the levels' factor, Int.
 
@@ -198,7 +224,9 @@ def changes_of_count(arrays: Arrays, *parts: Any) -> Any:
     return changes
 
 
-_drawn, _changes = Frozen(drawn_nodes, by_size=True), Frozen(changes_of_count, by_size=True)
+_drawn, _kept, _changes = (
+    Frozen(function, by_size=True) for function in (drawn_nodes, kept_nodes, changes_of_count)
+)
 
 
 def turned_footprints(own: Footprints, parent: Footprints, turned: Turned) -> Footprints:

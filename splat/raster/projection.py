@@ -46,7 +46,7 @@ _NARROWEST = 1e-12
 # is invisible.
 _LARGEST_EXPONENT = 80.0
 # Standard deviations at which the most opaque Gaussian falls to 1/255.
-_REACH = 3.33
+REACH = 3.33
 # Vectors no longer than this have no direction.
 _SHORTEST = 1e-30
 # Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr), 1.6e9 cd / m^2. Its square,
@@ -250,6 +250,11 @@ def distance(means: list[Any], view: CameraNumbers) -> Any:
     return dr.float32_array_t(type(from_eye[0]))(dr.sqrt(sum(part * part for part in from_eye)))
 
 
+def axial(means: list[Any], view: CameraNumbers) -> Any:
+    """Distances of centres from the eye along the view axis."""
+    return _in_camera(view.rotation, _from_eye(means, view.eye))[2]
+
+
 def may_show(
     arrays: Arrays,
     means: list[Any],
@@ -270,7 +275,7 @@ def within_frame(position: tuple[Any, Any, Any, Any], size: Any, view: CameraNum
     """What `may_show` returns, of positions that `view_position` found; the low-pass may be an array."""
     seen, x, y, spread = position
     added = dr.maximum(low_pass, _DILATION) if view.encoded else low_pass
-    reach = _REACH * dr.sqrt(dr.square(size * spread) + added)
+    reach = REACH * dr.sqrt(dr.square(size * spread) + added)
     half_width, half_height = view.half
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)

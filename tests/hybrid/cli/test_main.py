@@ -25,6 +25,7 @@ from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
+from hybrid.cli.serve import serve
 from hybrid.cli.study import analyse, design, study_app
 from hybrid.cli.study import run as run_study
 from hybrid.cli.sweep import sweep
@@ -43,6 +44,7 @@ COMMANDS = {
     "levels": levels,
     "render": render,
     "demo": demo,
+    "serve": serve,
     "evaluate": evaluate,
     "sweep": sweep,
     "export": export_file,

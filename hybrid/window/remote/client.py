@@ -1,0 +1,347 @@
+"""The client's end: sends the newest view, and keeps the newest cut, on a thread of its own.
+
+Whatever happens to the connection, there is a cut to draw; the connection is made again by itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import logging
+import ssl
+import threading
+import time
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
+from websockets.typing import Subprotocol
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import write_whole
+from compose.camera.camera import Camera
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from hybrid.base.cache_folder import home
+from hybrid.base.progress import Progress
+from hybrid.window.messages import Server
+from hybrid.window.remote import masks
+from hybrid.window.remote.protocol import (
+    FOREST_PART,
+    FOREST_WANTED,
+    MASK,
+    MOST_FROM_SERVER,
+    SUBPROTOCOL,
+    MaskMessage,
+    ViewMessage,
+    Welcome,
+)
+from splat.io.forest_file import load_forest
+from splat.model.cuts import Bits, CutTree
+from splat.model.forest import Forest
+
+# Seconds until a lost connection is made again, the first time and at most, and until a silent one counts as
+# lost.
+_FIRST_DELAY, _MOST_DELAY, _PATIENCE = 0.25, 8.0, 10.0
+# Seconds until a view is sent again that a mask for an older one came after: all answers before had to wait.
+_AGAIN = 0.1
+# Masks that a server may use as a base; honest ones use none that is older.
+_MOST_MASKS = 32
+# Share of the views that the server takes, so that it never gets more of them.
+_PACE = 0.9
+_POLL = 0.1
+# What a viewer sees, where they look, and on what.
+View: TypeAlias = tuple[Camera, Gaze, Display]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What the server last said of what is to be drawn.
+
+    Attributes:
+        number: of the mask, from 1 on in each connection.
+        sequence: of the view that it is for, from 1 on.
+        level: continuous level of detail that it is for.
+        split: (M,) which inner nodes are split.
+    """
+
+    number: int
+    sequence: int
+    level: float
+    split: Bits
+
+
+class Remote:
+    """A connection to a server, made again whenever it is lost.
+
+    Attributes:
+        welcome, forest, tree: from the server, once `wait` has returned.
+        cut: the newest one; None before the first.
+        trouble: why there is no connection, in a line; empty while there is one.
+        changed: is set when there is another cut, or other trouble.
+        sent: number of the newest view that was sent, and that view.
+        bytes: of all masks so far.
+    """
+
+    welcome: Welcome
+    forest: Forest
+    tree: CutTree
+
+    def __init__(self, server: Server):
+        self._address, self._token = server.address, server.token
+        self._tls = _context(server.address, server.authority)
+        self.cut: Cut | None = None
+        self.trouble, self.bytes = "not connected yet", 0
+        self.changed = threading.Event()
+        self._view: View | None = None
+        self.sent: tuple[int, View | None] = 0, None
+        self._progress = 0, 1
+        self._ready, self._failure = threading.Event(), ""
+        self._loop = asyncio.new_event_loop()
+        self._task: asyncio.Task[None] | None = None
+        self._news = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="remote", daemon=True)
+        self._thread.start()
+
+    def wait(self, report: Progress) -> None:
+        """Returns once the forest is there; UserError if the server cannot be reached or refuses."""
+        try:
+            while not self._ready.wait(_POLL):
+                report(*self._progress, "forest (KiB)")
+                if self._failure:
+                    raise UserError(f"{self._address}: {self._failure}")
+        except BaseException:
+            self.close()
+            raise
+
+    def look(self, camera: Camera, gaze: Gaze, display: Display) -> None:
+        """Asks for the cut of a view, in place of all views that were not sent yet; never waits."""
+        view = camera, gaze, display
+        if view != self._view:
+            self._view = view
+            self._loop.call_soon_threadsafe(self._news.set)
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the newest cut is the one for the view that was asked for last."""
+        sequence, view = self.sent
+        return self.cut is not None and self.cut.sequence == sequence and view is self._view
+
+    def close(self) -> None:
+        """Ends the connection; returns when it has ended."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
+            self._thread.join()
+
+    def _run(self) -> None:
+        self._task = self._loop.create_task(self._connected())
+        try:
+            self._loop.run_until_complete(self._task)
+        except asyncio.CancelledError:
+            pass
+        finally:
+            self._loop.run_until_complete(self._loop.shutdown_default_executor())
+            self._loop.close()
+
+    async def _connected(self) -> None:
+        delay = _FIRST_DELAY
+        quiet = logging.getLogger("hybrid.websockets")
+        quiet.propagate, quiet.disabled = False, True
+        while True:
+            try:
+                async with connect(
+                    self._address,
+                    ssl=self._tls,
+                    additional_headers={"Authorization": f"Bearer {self._token}"},
+                    subprotocols=[Subprotocol(SUBPROTOCOL)],
+                    compression=None,
+                    proxy=None,
+                    open_timeout=_PATIENCE,
+                    ping_interval=_PATIENCE,
+                    ping_timeout=_PATIENCE,
+                    close_timeout=1.0,
+                    max_size=MOST_FROM_SERVER,
+                    max_queue=4,
+                    logger=quiet,
+                ) as connection:
+                    await self._begun(connection)
+                    delay = _FIRST_DELAY
+                    await self._session(connection)
+            except (OSError, WebSocketException, ValueError, UserError, asyncio.TimeoutError) as error:
+                self._say(_said(error))
+            if not self._ready.is_set():
+                # Whoever starts is told why it does not work, instead of waiting.
+                self._failure = self.trouble
+                return
+            await asyncio.sleep(delay)
+            delay = min(2 * delay, _MOST_DELAY)
+
+    def _say(self, trouble: str) -> None:
+        self.trouble = trouble
+        self.changed.set()
+
+    async def _begun(self, connection: ClientConnection) -> None:
+        """Takes the welcome and, unless it is here, the forest."""
+        message = await asyncio.wait_for(connection.recv(), _PATIENCE)
+        if not isinstance(message, str):
+            raise ValueError("a server that does not begin with a welcome")
+        welcome = Welcome.of_text(message)
+        if self._ready.is_set():
+            if welcome.forest != self.welcome.forest:
+                raise ValueError("the server shows another forest now; start again")
+        else:
+            file = home() / "remote" / f"{welcome.forest}.safetensors"
+            if not await self._loop.run_in_executor(None, _is_whole, file, welcome):
+                content = await self._downloaded(connection, welcome)
+                write_whole(file, lambda part: part.write_bytes(content))
+            self.forest, self.tree = await self._loop.run_in_executor(None, _loaded, file)
+        self.welcome = welcome
+        self._ready.set()
+        self._say("")
+
+    async def _downloaded(self, connection: ClientConnection, welcome: Welcome) -> bytes:
+        """The forest's file; ValueError if it is not the one that the welcome names."""
+        await connection.send(bytes([FOREST_WANTED]))
+        packed = bytearray()
+        while len(packed) < welcome.packed:
+            part = await asyncio.wait_for(connection.recv(), _PATIENCE)
+            if not isinstance(part, bytes) or len(part) < 2 or part[0] != FOREST_PART:
+                raise ValueError("a server that sends something else than the forest")
+            packed += part[1:]
+            self._progress = len(packed) >> 10, welcome.packed >> 10
+        inflating = zlib.decompressobj()
+        try:
+            content = inflating.decompress(packed, welcome.bytes)
+        except zlib.error as error:
+            raise ValueError(f"a forest that cannot be inflated ({error})") from error
+        if hashlib.sha256(content).hexdigest() != welcome.forest:
+            raise ValueError("a forest that is not the one that the server names")
+        return content
+
+    async def _session(self, connection: ClientConnection) -> None:
+        """Views and masks, until one of both ends; raises why."""
+        received = _Received(self.tree.inner)
+        tasks = [
+            asyncio.ensure_future(part)
+            for part in (self._send_views(connection, received), self._take_masks(connection, received))
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _send_views(self, connection: ClientConnection, received: _Received) -> None:
+        pace, due = 1 / (_PACE * self.welcome.rate), 0.0
+        last: View | None = None
+        while True:
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._news.wait(), _AGAIN)
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+            self._news.clear()
+            view, (sequence, _) = self._view, self.sent
+            if view is None or (view is last and received.sequence == sequence):
+                continue
+            last, due = view, time.monotonic() + pace
+            # Before it is sent: its mask may come at once.
+            self.sent = sequence + 1, view
+            await connection.send(ViewMessage(sequence + 1, received.held, *view).packed())
+
+    async def _take_masks(self, connection: ClientConnection, received: _Received) -> None:
+        async for message in connection:
+            if not isinstance(message, bytes) or not message or message[0] != MASK:
+                raise ValueError("a server that sends something else than masks")
+            self.bytes += len(message)
+            cut = received.take(MaskMessage.unpacked(message))
+            if cut is not None:
+                self.cut = cut
+                self.changed.set()
+            else:
+                # Asks again, with the base that is there.
+                self._news.set()
+
+
+class _Received:
+    """The masks of one connection that later ones may be against.
+
+    Attributes:
+        held: number of the newest; 0 for none.
+        sequence: of the view that it is for.
+    """
+
+    def __init__(self, inner: int):
+        self._masks = {0: np.zeros(inner, np.bool_)}
+        self.held = self.sequence = 0
+
+    def take(self, message: MaskMessage) -> Cut | None:
+        """The cut of a message; None if it is not newer, or against a mask that is not here.
+
+        ValueError if its content does not fit.
+        """
+        base = self._masks.get(message.base)
+        if base is None or message.number <= self.held:
+            return None
+        split = masks.decoded(message.content, base)
+        self.held, self.sequence = message.number, message.sequence
+        kept = {n: mask for n, mask in self._masks.items() if n == 0 or n >= message.base}
+        kept[message.number] = split
+        for number in sorted(kept)[1 : len(kept) - _MOST_MASKS]:
+            del kept[number]
+        self._masks = kept
+        return Cut(message.number, message.sequence, message.level, split)
+
+
+def _context(address: str, authority: Path | None) -> ssl.SSLContext | None:
+    """How to recognize the server; None without TLS. UserError if the file is no certificate."""
+    if not address.startswith(("ws://", "wss://")):
+        raise UserError(f"server {address}: must begin with wss://, or ws:// on this machine")
+    if address.startswith("ws://"):
+        return None
+    try:
+        return ssl.create_default_context(cafile=authority)
+    except (OSError, ssl.SSLError) as error:
+        raise UserError(f"{authority}: cannot be read as certificates ({one_line(error)})") from error
+
+
+def _said(error: Exception) -> str:
+    """Why there is no connection."""
+    if isinstance(error, InvalidStatus):
+        refused = {401: "the server refuses the token", 503: "the server has no room for another client"}
+        status = error.response.status_code
+        return refused.get(status, f"the server answers with status {status}")
+    if isinstance(error, ConnectionClosed):
+        reason = one_line(error.rcvd.reason) if error.rcvd is not None and error.rcvd.reason else ""
+        return f"the connection was lost{reason and f' ({reason})'}"
+    if isinstance(error, asyncio.TimeoutError):
+        return "the server does not answer"
+    return one_line(error)
+
+
+def _is_whole(file: Path, welcome: Welcome) -> bool:
+    """Whether a forest's file is here, and is the one that the server names."""
+    try:
+        if file.stat().st_size != welcome.bytes:
+            return False
+        with file.open("rb") as opened:
+            state = hashlib.sha256()
+            while part := opened.read(1 << 20):
+                state.update(part)
+    except OSError:
+        return False
+    return state.hexdigest() == welcome.forest
+
+
+def _loaded(file: Path) -> tuple[Forest, CutTree]:
+    forest = load_forest(file)
+    if forest.hierarchy is None or forest.motion is not None or forest.light is not None:
+        raise ValueError("a forest without levels of detail")
+    nodes = forest.hierarchy_nodes
+    return forest, CutTree(nodes.parent, nodes.leaves)

@@ -1,0 +1,413 @@
+"""The server: tells each client which nodes of the forest to draw for its newest view.
+
+Whatever a client sends, or leaves unsent, costs its own connection at most, and a line of the log.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+import ipaddress
+import logging
+import socket
+import ssl
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from compose.base.errors import UserError, one_line
+from compose.camera.camera import Camera
+from hybrid.window.remote import masks
+from hybrid.window.remote.protocol import (
+    FOREST_PART,
+    FOREST_WANTED,
+    MOST_FOREST,
+    MOST_FROM_CLIENT,
+    SUBPROTOCOL,
+    VIEW,
+    MaskMessage,
+    ViewMessage,
+    Welcome,
+)
+from hybrid.window.remote.view_cuts import ViewCuts, with_hierarchy
+from splat.io.forest_file import save_forest
+from splat.model.cuts import Bits
+from splat.model.forest import Forest
+
+_LOG = logging.getLogger("hybrid")
+# Masks on their way to a client, or back as an answer: at 60 per second, .4 seconds of them, for which one
+# lost packet may hold up all that follow.
+_MOST_UNANSWERED = 24
+# Bytes of the forest in one message, and bytes to a client that wait to be sent: as many messages of a mask.
+_PART, _MOST_WAITING = 1 << 16, 1 << 16
+# Messages of a client that wait to be read.
+_MOST_UNREAD = 8
+# Seconds' worth of messages that may come at once, after a delay on their way.
+_BURST = 2.0
+# Connections that have not said who they are, for each client that there may be, and some more.
+_STRANGERS_PER_CLIENT, _STRANGERS = 1, 32
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What clients may cost.
+
+    Attributes:
+        clients: at a time.
+        rate: messages per second of each client.
+        patience: seconds for a handshake, for the answer to a mask, and for a message to be taken.
+    """
+
+    clients: int = 16
+    rate: float = 120.0
+    patience: float = 10.0
+
+
+@dataclass(frozen=True)
+class Listening:
+    """Where a server listens; without TLS if there is no context."""
+
+    host: str
+    port: int
+    tls: ssl.SSLContext | None = None
+
+
+class ViewServer:
+    """Serves the cuts of one forest; backend and forest stay on the thread of `cutting`.
+
+    Args:
+        forest: in which nothing moves.
+        home: a camera for clients to start from, and the median distance to what it sees.
+        cuts: find the cuts of `forest`.
+        token: that clients must name.
+        limits: what clients may cost.
+
+    Attributes:
+        facts: numbers of connections, of those refused or ended for a fault, and of what was sent.
+    """
+
+    def __init__(
+        self,
+        forest: Forest,
+        home: tuple[Camera, float],
+        cuts: Callable[[Forest], ViewCuts],
+        acuity_model: str,
+        token: str,
+        limits: Limits,
+    ):
+        self._limits, self._expected = limits, f"Bearer {token}".encode()
+        self._worker = ThreadPoolExecutor(1, "cuts")
+        served = with_hierarchy(forest)
+        content = _file_of(served)
+        self._forest = zlib.compress(content)
+        if len(content) > MOST_FOREST:
+            raise UserError(f"a forest of {len(content):,} bytes; at most {MOST_FOREST:,} are served")
+        digest = hashlib.sha256(content).hexdigest()
+        sizes = len(content), len(self._forest)
+        self._welcome = Welcome(forest.scene_name, *home, digest, *sizes, acuity_model, limits.rate)
+        self._cuts = self._worker.submit(cuts, served).result()
+        self._clients: set[_Client] = set()
+        self._open: set[_Connection] = set()
+        self.facts = dict.fromkeys(("connections", "clients", "faults", "views", "masks", "mask_bytes"), 0)
+
+    async def run(self, listening: Listening, announce: Callable[[int], object]) -> None:
+        """Serves until it is cancelled; `announce` gets the port.
+
+        Raises:
+            UserError: it cannot listen there.
+        """
+        quiet = logging.getLogger("hybrid.websockets")
+        quiet.propagate, quiet.disabled = False, True
+        limits = self._limits
+        extra: dict[str, Any] = {}
+        if listening.tls is not None:
+            extra = {"ssl": listening.tls, "ssl_handshake_timeout": limits.patience}
+        try:
+            server = await serve(
+                self._serve,
+                listening.host,
+                listening.port,
+                process_request=self._admit,
+                subprotocols=[Subprotocol(SUBPROTOCOL)],
+                # Deflated already; and nobody can make a small message a large one.
+                compression=None,
+                server_header=None,
+                open_timeout=limits.patience,
+                ping_interval=limits.patience,
+                ping_timeout=limits.patience,
+                close_timeout=1.0,
+                max_size=MOST_FROM_CLIENT,
+                max_queue=_MOST_UNREAD,
+                write_limit=_MOST_WAITING,
+                logger=quiet,
+                create_connection=partial(_Connection, self),  # type: ignore[arg-type]
+                **extra,
+            )
+        except (OSError, OverflowError) as error:
+            said = one_line(error)
+            raise UserError(f"{listening.host} {listening.port}: cannot be served ({said})") from error
+        try:
+            async with server:
+                announce(server.sockets[0].getsockname()[1])
+                await server.wait_closed()
+        finally:
+            self._worker.shutdown()
+
+    @property
+    def most_bytes_per_second(self) -> float:
+        """That a client may send, frames of WebSockets and all."""
+        return self._limits.rate * MOST_FROM_CLIENT
+
+    def opened(self, connection: _Connection) -> bool:
+        """Whether one more connection can be open."""
+        self.facts["connections"] += 1
+        strangers = _STRANGERS_PER_CLIENT * self._limits.clients + _STRANGERS
+        if len(self._open) - len(self._clients) >= strangers:
+            return False
+        self._open.add(connection)
+        return True
+
+    def closed(self, connection: _Connection) -> None:
+        """Says in a line why a connection has ended."""
+        self._open.discard(connection)
+        if connection.fault:
+            self.facts["faults"] += 1
+            _LOG.warning("%s: %s", connection.peer, connection.fault)
+        else:
+            _LOG.info("%s: left", connection.peer)
+
+    async def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuses those who do not know the token, and those who are too many."""
+        assert isinstance(connection, _Connection)
+        given = request.headers.get_all("Authorization")
+        said = given[0].encode("utf-8", "replace") if len(given) == 1 else b""
+        if not hmac.compare_digest(said, self._expected):
+            connection.fault = "refused: a wrong token, or none"
+            return connection.respond(HTTPStatus.UNAUTHORIZED, "a token is required\n")
+        if len(self._clients) >= self._limits.clients:
+            connection.fault = f"refused: there are {self._limits.clients} clients"
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients\n")
+        if SUBPROTOCOL not in ", ".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(", "):
+            connection.fault = f"refused: speaks something else than {SUBPROTOCOL}"
+            return connection.respond(HTTPStatus.BAD_REQUEST, f"only {SUBPROTOCOL} is spoken here\n")
+        connection.fault = ""
+        return None
+
+    async def _serve(self, connection: ServerConnection) -> None:
+        """One client, from its welcome to its end."""
+        assert isinstance(connection, _Connection)
+        client = _Client(connection, self._limits)
+        if len(self._clients) >= self._limits.clients:
+            connection.fault = f"refused: there are {self._limits.clients} clients"
+            return
+        self._clients.add(client)
+        self.facts["clients"] += 1
+        tasks = [asyncio.ensure_future(task) for task in (self._read(client), self._write(client))]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        except ConnectionClosed:
+            pass  # it says why itself
+        except asyncio.TimeoutError:
+            connection.fault = f"ended: took nothing for {self._limits.patience:g} s"
+            connection.transport.abort()
+        except ValueError as error:
+            connection.fault = f"ended: sent {one_line(error)}"
+            await connection.close(1008)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            self._clients.discard(client)
+
+    async def _read(self, client: _Client) -> None:
+        async for message in client.connection:
+            client.budget.take()
+            if not isinstance(message, bytes) or not message:
+                raise ValueError("text, or nothing")
+            if message[0] == VIEW:
+                client.accept(ViewMessage.unpacked(message))
+                self.facts["views"] += 1
+            elif message == bytes([FOREST_WANTED]) and not client.forest_wanted:
+                client.forest_wanted = True
+            else:
+                raise ValueError(f"a message that begins with {message[0]}, out of place")
+            client.news.set()
+
+    async def _write(self, client: _Client) -> None:
+        await client.send(self._welcome.text())
+        while True:
+            await client.news.wait()
+            client.news.clear()
+            if client.forest_wanted and not client.forest_sent:
+                client.forest_sent = True
+                for start in range(0, len(self._forest), _PART):
+                    await client.send(bytes([FOREST_PART]) + self._forest[start : start + _PART])
+            view = client.next_view()
+            if view is not None:
+                message = await self._mask(client, view)
+                self.facts["masks"] += 1
+                self.facts["mask_bytes"] += len(message)
+                await client.send(message)
+
+    async def _mask(self, client: _Client, view: ViewMessage) -> bytes:
+        """The next message to a client, for a view."""
+        # The client may answer before the cut is found.
+        base, known, before = *client.base(), client.last
+
+        def found() -> tuple[Bits, float, bytes]:
+            split, level = self._cuts.split(view, before)
+            return split, level, masks.encoded(split, np.zeros_like(split) if known is None else known)
+
+        split, level, content = await asyncio.get_running_loop().run_in_executor(self._worker, found)
+        return MaskMessage(client.sends(split), base, view.sequence, level, content).packed()
+
+
+class _Budget:
+    """So much per second, and what was not used for some seconds as well; ValueError beyond."""
+
+    def __init__(self, rate: float):
+        self._rate, self._left, self._at = rate, rate * _BURST, time.monotonic()
+
+    def take(self, count: float = 1.0) -> None:
+        now = time.monotonic()
+        self._left = min(self._left + (now - self._at) * self._rate, self._rate * _BURST) - count
+        self._at = now
+        if self._left < 0:
+            raise ValueError("more than the server takes")
+
+
+class _Client:
+    """What the server knows of a client: its newest view, and masks that it may have."""
+
+    def __init__(self, connection: _Connection, limits: Limits):
+        self.connection, self.news = connection, asyncio.Event()
+        self.budget, self._patience = _Budget(limits.rate), limits.patience
+        self.forest_wanted = self.forest_sent = False
+        self._view: ViewMessage | None = None
+        self._sequence = self._held = self._number = 0
+        # With the times when they were sent, from the one that the client is known to have; and the last one.
+        self._masks: dict[int, tuple[float, NDArray[np.uint8]]] = {}
+        self.last: Bits | None = None
+
+    def accept(self, view: ViewMessage) -> None:
+        """Takes note of a view; ValueError if the client cannot have sent it now."""
+        if view.sequence <= self._sequence:
+            raise ValueError(f"view {view.sequence} after {self._sequence}")
+        if view.held and view.held not in self._masks:
+            raise ValueError(f"an answer to mask {view.held}, which it does not have")
+        self._masks = {n: mask for n, mask in self._masks.items() if view.held and n >= view.held}
+        self._sequence, self._held, self._view = view.sequence, view.held, view
+        unanswered = [at for n, (at, _) in self._masks.items() if n > self._held]
+        if unanswered and time.monotonic() - unanswered[0] > self._patience:
+            raise ValueError(f"views, but no answer to a mask for {self._patience:g} s")
+
+    def next_view(self) -> ViewMessage | None:
+        """The newest view, once, unless too many masks are unanswered."""
+        if sum(n > self._held for n in self._masks) >= _MOST_UNANSWERED:
+            return None
+        view, self._view = self._view, None
+        return view
+
+    def base(self) -> tuple[int, Bits | None]:
+        """Number of the newest mask that the client is known to have, and that mask; 0 and None for none."""
+        if not self._held or self.last is None:
+            return 0, None
+        packed = self._masks[self._held][1]
+        return self._held, np.unpackbits(packed, count=len(self.last)).view(np.bool_)
+
+    def sends(self, split: Bits) -> int:
+        """Number of the next mask, which the client may have from now on."""
+        self._number += 1
+        self.last, self._masks[self._number] = split, (time.monotonic(), np.packbits(split))
+        return self._number
+
+    async def send(self, message: str | bytes) -> None:
+        """Sends a message once there is room for it; TimeoutError if there is none for long."""
+        await asyncio.wait_for(self.connection.send(message), self._patience)
+
+
+class _Connection(ServerConnection):
+    """A connection that says why it ended, and ends when a client sends too much or reads too little.
+
+    Attributes:
+        fault: why it is ended; empty if the client leaves by itself.
+    """
+
+    def __init__(self, server: ViewServer, *arguments: Any, **named: Any):
+        super().__init__(*arguments, **named)
+        self._view_server, self._bytes = server, _Budget(server.most_bytes_per_second)
+        self.fault, self.peer = "ended: no handshake", "unknown"
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        peer = transport.get_extra_info("peername") or ("unknown", 0)
+        self.peer = f"{peer[0]}:{peer[1]}"
+        if not self._view_server.opened(self):
+            self.fault = "refused: too many connections"
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        sent = self.protocol.close_sent
+        # Not those who leave, nor all when the server goes away.
+        if sent is not None and not self.protocol.close_rcvd_then_sent and sent.code != CloseCode.GOING_AWAY:
+            self.fault = self.fault or f"ended: {one_line(sent.reason) or sent.code}"
+        self._view_server.closed(self)
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            self._bytes.take(len(data))
+            # Answers to pings, which wait for nothing.
+            if self.transport.get_write_buffer_size() > 2 * _MOST_WAITING + _PART:
+                raise ValueError("more than it reads")
+        except ValueError as error:
+            self.fault = f"ended: sent {error}"
+            self.transport.abort()
+            return
+        super().data_received(data)
+
+
+def _file_of(forest: Forest) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "forest.safetensors"
+        save_forest(file, forest)
+        return file.read_bytes()
+
+
+def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
+    """TLS with a certificate and its key, PEM files; UserError if they are not that."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        # Nobody is asked for the password of a key.
+        context.load_cert_chain(certificate, key, password=b"")
+    except (OSError, ValueError) as error:
+        raise UserError(f"{certificate}, {key}: not a certificate and its key ({one_line(error)})") from error
+    return context
+
+
+def is_loopback(host: str) -> bool:
+    """Whether what listens on a host can be reached from this machine alone."""
+    try:
+        found = {entry[4][0] for entry in socket.getaddrinfo(host, None)}
+        return all(ipaddress.ip_address(str(address).partition("%")[0]).is_loopback for address in found)
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,147 @@
+"""Complete cuts for a view, against a twin in float64 that walks down the trees."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compose.camera.camera import camera_from_pose
+from splat.model.forest import Forest, forest_of
+from splat.model.layer import static_layer
+from splat.raster.complete_cut import CompleteCuts
+from splat.raster.cut import HierarchyCut
+from tests.splat.lod.views import CORNERS, frame_camera, ramp
+from tests.splat.samples import gaussians
+
+
+@pytest.fixture(scope="module")
+def forest() -> Forest:
+    leaves = gaussians("overlap", 300, 1)
+    leaves.log_scales -= 1.5
+    return forest_of([static_layer(leaves)], 120.0, "", "")
+
+
+@pytest.fixture(scope="module")
+def cuts(arrays, forest) -> CompleteCuts:
+    return CompleteCuts(arrays, forest.hierarchy_nodes)
+
+
+def flat(level: float) -> np.ndarray:
+    return np.full(CORNERS, level, dtype=np.float32)
+
+
+def looking(yaw: float, height: int = 100):
+    """The camera of other tests, turned by degrees."""
+    angle = math.radians(yaw)
+    pose = np.eye(4)
+    pose[:3, :3] = [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
+    pose[:3, 3] = [0.1, -0.2, -4]
+    return camera_from_pose(pose, 150, height, 120.0, 120.0, 75.0, height / 2)
+
+
+def twin(forest: Forest, camera, level: float) -> np.ndarray:
+    """(M,) by how many octaves nodes are too large for a level that is the same everywhere."""
+    nodes = forest.hierarchy_nodes
+    means = nodes.gaussians.means.double().numpy().T[nodes.leaves :]
+    size, radius = (x.astype(np.float64)[nodes.leaves :] for x in (nodes.size, nodes.radius))
+    local = means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    away = np.linalg.norm(local, axis=1)
+    half = np.arcsin(np.minimum((radius + 3.33 * size) / away, 1))
+    corner = math.atan(math.hypot(camera.cx / camera.fx, camera.cy / camera.fy))
+    beside = np.degrees(np.arccos(local[:, 2] / away) - half - corner) - 4
+    near = np.maximum(away - radius, 0.01)
+    octaves = np.log2(size * camera.fx / near / level) - np.clip(beside / 4, 0, 6)
+    unknown = (away - radius <= 0.01) | ((local[:, 2] <= 0.01) & (beside <= 0))
+    return np.where(unknown, np.inf, octaves)
+
+
+@pytest.mark.parametrize("yaw", [0, 40, 90, 180])
+@pytest.mark.parametrize("level", [0.5, 3, 12])
+def test_nodes_are_split_where_they_are_too_large(forest, cuts, yaw, level):
+    camera, nodes = looking(yaw), forest.hierarchy_nodes
+    split, factor = cuts.split(camera, flat(level))
+    assert factor == 1
+    excess, expected = twin(forest, camera, level), np.zeros(len(split), bool)
+    # Parents come after their children.
+    for node in reversed(range(len(split))):
+        parent = nodes.parent[node + nodes.leaves] - nodes.leaves
+        expected[node] = excess[node] > 0 and (parent < 0 or expected[parent])
+    doubtful = np.abs(excess) < 1e-3
+    assert not (split != expected)[~doubtful].any()
+
+
+def test_what_lies_behind_is_coarser(cuts):
+    ahead, behind = (np.count_nonzero(cuts.split(looking(yaw), flat(1))[0]) for yaw in (0, 180))
+    assert behind < ahead / 2
+
+
+def test_a_limit_draws_so_many_and_the_largest_stay_split(cuts):
+    camera = frame_camera()
+    free, _ = cuts.split(camera, flat(0.5))
+    split, factor = cuts.split(camera, flat(0.5), most=100)
+    assert np.count_nonzero(cuts.tree.drawn(split)) == 100
+    assert factor > 1
+    assert not (split & ~free).any()
+    coarse, _ = cuts.split(camera, flat(0.5) * np.float32(factor))
+    assert np.count_nonzero(coarse ^ split) <= 1
+
+
+def test_fewer_than_the_roots_draws_the_roots(cuts):
+    split, _ = cuts.split(frame_camera(), flat(0.5), most=1)
+    assert not split.any()
+
+
+def test_most_of_what_was_split_stays(cuts):
+    camera = frame_camera()
+    before, _ = cuts.split(camera, flat(3))
+    # 5 % of a level are within the tenth of an octave that it takes to join nodes again.
+    after, _ = cuts.split(camera, flat(3 * 1.05), before=before)
+    assert np.array_equal(after, before)
+    fresh, _ = cuts.split(camera, flat(3 * 1.05))
+    assert np.count_nonzero(fresh) < np.count_nonzero(before)
+    for split in (before, after, fresh):
+        assert np.array_equal(cuts.tree.closed(split), split)
+
+
+@pytest.mark.parametrize("focal", [1e-30, 1e30])
+def test_a_camera_of_any_numbers_makes_a_cut(cuts, focal):
+    camera = replace(frame_camera(), fx=focal, fy=focal)
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] = 1e300
+    for extreme in (camera, replace(camera, world_to_camera=pose)):
+        split, factor = cuts.split(extreme, ramp(1e-3, 1e3), most=100)
+        assert np.array_equal(cuts.tree.closed(split), split)
+        assert np.isfinite(factor)
+
+
+def test_held_nodes_are_drawn_as_those_that_levels_choose(arrays, forest, cuts):
+    """In the frame, where nothing pops and no two nodes of a line are drawn."""
+    camera, levels = frame_camera(), flat(3)
+    split, _ = cuts.split(camera, levels)
+    free, held = (HierarchyCut(arrays, forest.hierarchy_nodes) for _ in range(2))
+    held.hold(cuts.tree.drawn(split))
+    (own, turned), (index, same) = (cut.nodes(camera, levels, 1.0) for cut in (free, held))
+    assert set(own.numpy()) == set(index.numpy())
+    shares = dict(zip(own.numpy(), turned.share.numpy(), strict=True))
+    sibling, chosen = forest.hierarchy_nodes.siblings(), cuts.tree.drawn(split)
+    assert any(share > 0 for share in shares.values())
+    for node, share in zip(index.numpy(), same.share.numpy(), strict=True):
+        assert share == pytest.approx(shares[node] if chosen[sibling[node]] else 0, abs=1e-6)
+
+
+def test_held_nodes_that_are_too_small_turn_into_their_parents(arrays, forest, cuts):
+    """A cut that is late is drawn as coarse as it should be, and one that is too coarse as it is."""
+    camera = frame_camera()
+    cut = HierarchyCut(arrays, forest.hierarchy_nodes)
+    cut.hold(cuts.tree.drawn(np.ones(cuts.tree.inner, bool)))
+    index, turned = cut.nodes(camera, flat(50), 1.0)
+    assert (index.numpy() < forest.hierarchy_nodes.leaves).all()
+    siblings = forest.hierarchy_nodes.siblings()[index.numpy()] < forest.hierarchy_nodes.leaves
+    assert (turned.share.numpy()[siblings] == 1).mean() > 0.9
+    cut.hold(cuts.tree.drawn(np.zeros(cuts.tree.inner, bool)))
+    index, turned = cut.nodes(camera, flat(0.01), 1.0)
+    assert (turned.share.numpy() == 0).all()
+    assert len(index) == cuts.tree.roots
