@@ -139,7 +139,8 @@ class PageSession:
             self._on_their_way[self._number] = None if quality is None else shown
             settings = shown.request.settings
             disc = {"x": settings.gaze.x, "y": settings.gaze.y, "radius": settings.fov_a / 100}
-            message["frame"] = {"number": self._number, **disc}
+            kind = "image/png" if quality is None else "image/jpeg"
+            message["frame"] = {"number": self._number, "type": kind, **disc}
             if quality is None:
                 loop = asyncio.get_running_loop()
                 picture = await loop.run_in_executor(None, encoded, shown.image, None)

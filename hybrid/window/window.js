@@ -34,7 +34,7 @@ function hybridWindow(root, send, setTitle) {
   }
 
   async function show(frame, bytes) {
-    const decoded = await createImageBitmap(new Blob([bytes]));
+    const decoded = await createImageBitmap(new Blob([bytes], { type: frame.type }));
     picture?.close();
     [picture, disc] = [decoded, frame];
     draw();

@@ -161,7 +161,8 @@ def test_latency_is_on_the_clock_of_the_page(run, monkeypatch):
         now[0] = 1001.2
         page.say("shown", 1070.0, frame=2)
         assert [seconds for _, seconds in page.viewer.meter.latencies] == [pytest.approx(0.07)]
-        assert page.state["frame"] == {"number": 2, "x": 0.25, "y": 0.5, "radius": 0.15}
+        disc = {"x": 0.25, "y": 0.5, "radius": 0.15}
+        assert page.state["frame"] == {"number": 2, "type": "image/jpeg", **disc}
 
     run(test)
 
