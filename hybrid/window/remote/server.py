@@ -232,6 +232,9 @@ class ViewServer:
         except ValueError as error:
             connection.fault = f"ended: sent {one_line(error)}"
             await connection.close(1008)
+        except Exception:
+            _LOG.exception("%s: the server failed", connection.peer)
+            raise
         finally:
             for task in tasks:
                 task.cancel()
