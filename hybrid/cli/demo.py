@@ -155,9 +155,7 @@ def demo(
         from hybrid.window.remote.source import prepared_remote
         from hybrid.window.render_thread import RenderThread
 
-        viewer = Viewer(
-            RenderThread(partial(prepared_remote, remote, backend)), settings, trace, options
-        )
+        viewer = Viewer(RenderThread(partial(prepared_remote, remote, backend)), settings, trace, options)
     else:
         shown = ShownScene(str(scene), thin_glass, sensor, backend)
         viewer = viewer_of(shown, forest, settings, trace, options, learning)

@@ -59,17 +59,16 @@ class CompleteCuts:
                 if it had more.
             before: what was split for the view before, most of which stays.
         """
-        excess = self.tree.falling(self._excess(camera, levels))
+        excess = self._excess(camera, levels)
         if before is not None:
-            excess = excess + np.where(before, np.float32(_HYSTERESIS), np.float32(0))
+            excess = excess + np.float32(_HYSTERESIS) * before
+        excess = self.tree.falling(excess)
         limit = np.float32(0)
         # Each node that is split adds one to the cut.
         spare = None if most is None else max(0, most - self.tree.roots)
         if spare is not None and spare < len(excess):
             limit = max(limit, np.partition(excess, -spare - 1)[-spare - 1])
-        found = excess > limit
-        # A child may have been split before, and its parent not.
-        return found if before is None else self.tree.closed(found), float(2**limit)
+        return excess > limit, float(2**limit)
 
     def _excess(self, camera: Camera, levels: Lattice) -> NDArray[np.float32]:
         """By how many octaves each inner node is larger than it may be."""

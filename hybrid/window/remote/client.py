@@ -172,6 +172,7 @@ class Remote:
                     await self._begun(connection)
                     delay = _FIRST_DELAY
                     await self._session(connection)
+                    self._say("the connection was lost (the server has ended it)")
             except (OSError, WebSocketException, ValueError, UserError, asyncio.TimeoutError) as error:
                 self._say(_said(error))
             if not self._ready.is_set():
@@ -224,7 +225,7 @@ class Remote:
         return content
 
     async def _session(self, connection: ClientConnection) -> None:
-        """Views and masks, until one of both ends; raises why."""
+        """Views and masks, until the server ends the connection; raises why it cannot go on."""
         received = _Received(self.tree.inner)
         tasks = [
             asyncio.ensure_future(part)

@@ -13,9 +13,9 @@ from splat.model.points import Ints
 # Bits of a gap in each of its bytes, and bytes that a gap takes at most: over 200 million nodes.
 _BITS, _MOST_BYTES = 7, 4
 _CONTINUED = 1 << _BITS
-# Of a walk through a room of 108,500 Gaussians, against masks an eighth of a second older: 3.1 kB; at level 1
-# 3.3 kB; the bits themselves 3.4 kB at level 6, in twice the time; gaps that are not deflated 5.6 kB.
-_LEVEL = 6
+# Of a walk through a room of 108,500 Gaussians, against masks an eighth of a second older: 3.3 kB; at level 6
+# 3.1 kB, in twice the time; the bits themselves 3.7 kB, and gaps that are not deflated 5.6 kB.
+_LEVEL = 1
 
 
 def encoded(split: Bits, base: Bits) -> bytes:

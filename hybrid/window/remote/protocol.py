@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, claimed_scene
 from compose.base.files import parse_json
 from compose.camera.camera import Camera
 from compose.eye.acuity import acuity_model_named
@@ -159,11 +159,12 @@ class Welcome:
 
     def _check(self) -> None:
         acuity_model_named(self.acuity_model)
-        for name in ("scene", "forest"):
-            if not isinstance(getattr(self, name), str):
-                raise TypeError(f"{name} must be text")
-        if len(self.forest) != 64 or not set(self.forest) <= set("0123456789abcdef"):
+        # Both become parts of files' names.
+        claimed_scene(self.scene, self.forest)
+        if len(self.forest) != 64:
             raise ValueError("a welcome whose hash is none")
+        if not isinstance(self.bytes, int) or not isinstance(self.packed, int):
+            raise TypeError("sizes must be whole numbers")
         if not 0 < self.packed <= 2 * MOST_FOREST or not 0 < self.bytes <= MOST_FOREST:
             raise ValueError(f"a forest of {self.bytes} bytes; at most {MOST_FOREST} are taken")
         if not (self.distance > 0 and self.rate > 0):

@@ -52,8 +52,9 @@ from splat.model.forest import Forest
 
 _LOG = logging.getLogger("hybrid")
 # Masks on their way to a client, or back as an answer: at 60 per second, .4 seconds of them, for which one
-# lost packet may hold up all that follow.
-_MOST_UNANSWERED = 24
+# lost packet may hold up all that follow. First so many, and one more for each answer:
+# whoever answers none must not take the time of others.
+_MOST_UNANSWERED, _FIRST_UNANSWERED = 24, 2
 # Bytes of the forest in one message, and bytes to a client that wait to be sent: as many messages of a mask.
 _PART, _MOST_WAITING = 1 << 16, 1 << 16
 # Messages of a client that wait to be read.
@@ -231,6 +232,9 @@ class ViewServer:
         except ValueError as error:
             connection.fault = f"ended: sent {one_line(error)}"
             await connection.close(1008)
+        except Exception:
+            _LOG.exception("%s: the server failed", connection.peer)
+            raise
         finally:
             for task in tasks:
                 task.cancel()
@@ -302,7 +306,10 @@ class _Client:
         self.budget, self._patience = _Budget(limits.rate), limits.patience
         self.forest_wanted = self.forest_sent = False
         self._view: ViewMessage | None = None
+        # Of the newest view, of the mask that it says is there, and of the last one that was sent.
         self._sequence = self._held = self._number = 0
+        # Number of the newest mask that was ever answered, and how many later ones there may be.
+        self._answered, self._window = 0, _FIRST_UNANSWERED
         # With the times when they were sent, from the one that the client is known to have; and the last one.
         self._masks: dict[int, tuple[float, NDArray[np.uint8]]] = {}
         self.last: Bits | None = None
@@ -313,15 +320,18 @@ class _Client:
             raise ValueError(f"view {view.sequence} after {self._sequence}")
         if view.held and view.held not in self._masks:
             raise ValueError(f"an answer to mask {view.held}, which it does not have")
-        self._masks = {n: mask for n, mask in self._masks.items() if view.held and n >= view.held}
+        # Whoever has none, so it says, has answered none of the others either.
+        self._masks = {n: mask for n, mask in self._masks.items() if n >= view.held}
+        self._window += max(0, view.held - self._answered)
+        self._answered = max(view.held, self._answered)
         self._sequence, self._held, self._view = view.sequence, view.held, view
-        unanswered = [at for n, (at, _) in self._masks.items() if n > self._held]
+        unanswered = [at for n, (at, _) in self._masks.items() if n > self._answered]
         if unanswered and time.monotonic() - unanswered[0] > self._patience:
             raise ValueError(f"views, but no answer to a mask for {self._patience:g} s")
 
     def next_view(self) -> ViewMessage | None:
         """The newest view, once, unless too many masks are unanswered."""
-        if sum(n > self._held for n in self._masks) >= _MOST_UNANSWERED:
+        if sum(n > self._answered for n in self._masks) >= min(self._window, _MOST_UNANSWERED):
             return None
         view, self._view = self._view, None
         return view

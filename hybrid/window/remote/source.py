@@ -76,6 +76,12 @@ class RemoteSource(FrameSource):
         image = image_of(view, frame, None)
         return self._noted(ShownFrame(image, request, frame, 0, frame.milliseconds, 0, finished=False))
 
+    def renew(self, report: Progress) -> bool:
+        return False
+
+    def close(self) -> None:
+        self._remote.close()
+
     def forget(self) -> None:
         """Renders the next frame as if it were the first one."""
         self._last = None

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from hybrid.window import application
+pytest.importorskip("PySide6", reason="the window requires PySide6")
+from hybrid.window import main_window
 from hybrid.window import qt_check as qt
 from hybrid.window.messages import Server
+from hybrid.window.remote import source
 from hybrid.window.remote.client import Remote
 from tests.hybrid.command import run
 
@@ -78,14 +80,17 @@ def test_what_cannot_be_served_is_one_line(monkeypatch, tmp_path, capsys, own_ho
 
 
 def test_the_server_reaches_the_window(monkeypatch, token, tmp_path):
-    given = []
-    monkeypatch.setattr(qt, "require_window", lambda: None)
-    monkeypatch.setattr(application, "run_window", lambda *given_: given.append(given_) or ({}, ""))
+    shown, asked = [], []
+    monkeypatch.setattr(qt, "window_problem", lambda: None)
+    monkeypatch.setattr(main_window, "run_window", shown.append)
+    monkeypatch.setattr(source, "prepared_remote", lambda *given: asked.append(given))
     authority = tmp_path / "ca.pem"
     options = ["--server", "wss://host:1", "--token-file", token, "--ca", authority, "--out", tmp_path]
     assert run(monkeypatch, "demo", *options) == 0
-    assert given[0][0] == Server("wss://host:1", TOKEN, authority)
-    assert TOKEN not in repr(given)
+    (viewer,) = shown
+    viewer.thread._prepare(lambda done, total, label: None)
+    assert asked[0][:2] == (Server("wss://host:1", TOKEN, authority), "auto")
+    assert TOKEN not in repr(asked)
 
 
 @pytest.mark.parametrize(

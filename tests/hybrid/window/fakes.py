@@ -47,7 +47,7 @@ def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: 
 class Source:
     """Grey frames at once; files without content."""
 
-    camera, layers = CAMERA, 3
+    camera, layers, has_scene = CAMERA, 3, True
 
     def __init__(self, finished: bool = True):
         self.finished = finished

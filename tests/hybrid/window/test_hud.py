@@ -38,3 +38,8 @@ def test_a_target_shows_what_was_chosen_for_it():
     unlimited = replace(REQUEST.settings, layers=None)
     lines = lines_of(shown(replace(REQUEST, settings=unlimited, target_fps=24.5)), Meter())
     assert lines[-1] == "chosen for 24.5 FPS: finest layer 3, at most 1 sample per 1 x 1 px"
+
+
+def test_what_there_is_to_say_comes_first():
+    lines = lines_of(replace(shown(), notice="not connected: refused"), Meter())
+    assert lines == ["not connected: refused", *lines_of(shown(), Meter())]

@@ -100,14 +100,17 @@ CHANGES = [
     ({"packed": "many"}, "says something else"),
     ({"forest": "../" * 22}, "hash"),
     ({"forest": "z" * 64}, "hash"),
-    ({"forest": 5}, "says something else"),
+    ({"forest": 5}, "hash"),
     ({"rate": -1}, "rate"),
     ({"distance": 0}, "distance"),
     ({"acuity_model": "none of these"}, "acuity model"),
     ({"camera": None}, "says something else"),
     ({"camera": {"world_to_camera": [[1]]}}, "says something else"),
     ({"more": 1}, "says something else"),
-    ({"scene": ["a"]}, "says something else"),
+    ({"scene": ["a"]}, "scene name"),
+    ({"scene": "../../a"}, "no path"),
+    ({"bytes": 1e3}, "whole numbers"),
+    ({"packed": 1e3}, "whole numbers"),
 ]
 
 

@@ -122,7 +122,7 @@ def test_the_picture_is_that_of_the_local_cut(serve, forest, camera):
         first = shown.image
         while not shown.finished:
             shown = source.show(Request(asked), quick=True)
-        source._remote.close()
+        source.close()
     own = with_hierarchy(forest)
     local, cuts = SplatRenderer(own), ViewCuts(own, settings(4.0))
     split, level = cuts.split(ViewMessage(1, 0, camera, asked.gaze, asked.display), None)
@@ -148,7 +148,7 @@ def test_views_that_need_paths_show_the_splats(serve, camera, tmp_path):
         source.save(tmp_path / "shown.png")
         assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".png"]
         source.forget()
-        source._remote.close()
+        source.close()
 
 
 @pytest.mark.parametrize(
