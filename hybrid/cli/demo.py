@@ -11,7 +11,7 @@ import typer
 from compose.base.errors import UserError
 from compose.eye.gaze import MOST_SECONDS, load_gaze_trace, simulated
 from hybrid.cli import options as o
-from hybrid.cli.serve import TokenFile, read_token, require_network
+from hybrid.cli.serve import TokenFile, read_token
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 
 if TYPE_CHECKING:
@@ -183,7 +183,6 @@ def _server(
         if token_file is not None or authority is not None:
             raise UserError("--token-file, --ca: are for --server")
         return None
-    require_network()
     if token_file is None:
         raise UserError("--server: asks for a token; give --token-file")
     from hybrid.window.messages import Server

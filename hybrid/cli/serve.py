@@ -50,7 +50,6 @@ def serve(
     json_file: o.Json = None,
 ) -> None:
     """Tell clients which Gaussians to draw for what they look at, until interrupted."""
-    require_network()
     from hybrid.window.remote.server import Limits, Listening, ViewServer, is_loopback, tls_context
 
     if (certificate is None) != (key is None):
@@ -90,14 +89,6 @@ def serve(
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(server.run(Listening(host, port, tls), announce))
     o.write_json(json_file, server.facts)
-
-
-def require_network() -> None:
-    """UserError without the library for servers and clients."""
-    try:
-        import websockets  # noqa: F401
-    except ImportError as error:
-        raise UserError("servers need websockets: pip install 'foveated-hybrid-renderer[remote]'") from error
 
 
 def read_token(file: Path) -> str:
