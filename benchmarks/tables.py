@@ -384,17 +384,101 @@ def raster() -> str:
 
 
 def window() -> str:
-    """Frame rate and latency of the window."""
+    """Frame rate and latency of the window, in Qt and in a browser."""
     found = result("window")
-    latency = found["latency_ms"]
-    row = [
-        f"{found['width']}x{found['height']}",
-        f"{found['fps']:.1f}",
-        f"{found['ms']['p50']:.0f} / {found['ms']['p95']:.0f}",
-        f"{latency['p50']:.0f} / {latency['p95']:.0f}",
+    rows = [
+        [
+            {"qt": "Qt, in memory", "browser": "headless Chromium"}[shell],
+            f"{runs[0]['width']}x{runs[0]['height']}",
+            ", ".join(f"{run['fps']:.1f}" for run in runs),
+            ", ".join(f"{run['latency_ms']['p50']:.0f} / {run['latency_ms']['p95']:.0f}" for run in runs),
+        ]
+        for shell, runs in found["runs"].items()
     ]
-    header = ["size", "FPS, median", "frame, ms, p50 / p95", "mouse to screen, ms, p50 / p95"]
-    return _with_provenance(markdown(header, [row]), "window")
+    header = ["window", "size", "FPS, median of each run", "mouse to screen, ms, p50 / p95 of each run"]
+    return _with_provenance(markdown(header, rows), "window")
+
+
+def watching() -> str:
+    """Scenes that nothing was prepared for: when they are seen, and what learning costs and brings."""
+    found = result("watching")
+    scenes = markdown(
+        ["scene", "first hybrid frame, s", "frame alone, ms", "while learning, ms", "rate left"],
+        [
+            [
+                scene,
+                f"{seconds:.1f}",
+                *(f"{found['ms'][scene][name]:.0f}" for name in ("alone", "learning")),
+                f"{found['ms'][scene]['alone'] / found['ms'][scene]['learning']:.0%}",
+            ]
+            for scene, seconds in found["first_frame_s"].items()
+        ],
+    )
+    changes = markdown(
+        ["change of `room`", "before, dB", "just after", "learnt", "after, s"],
+        [
+            [
+                name,
+                *(f"{row[when]:.1f}" for when in ("before", "unlearnt", "learnt")),
+                f"{row['seconds']:.0f}",
+            ]
+            for name, row in found["changes"].items()
+        ],
+    )
+    return _with_provenance(f"{scenes}\n\n{changes}", "watching")
+
+
+def late_warp() -> str:
+    """What frames gain that are warped to where the viewer is."""
+    rows = [
+        [
+            row["movement"],
+            f"{row['width']}x{row['height']}",
+            *(f"{row[name]:.1f}" for name in ("late", "warped", "ms")),
+        ]
+        for row in result("late-warp")["rows"]
+    ]
+    header = ["movement", "size", "late, dB", "warped, dB", "warp, ms"]
+    return _with_provenance(markdown(header, rows), "late-warp")
+
+
+def remote() -> str:
+    """What masks cost and show over a slow network, and what hostile clients do to the server."""
+    found = result("remote")
+    network, walk, many = (found[name] for name in ("network", "walk", "many"))
+    slow = f"{network['mbit_per_s']:.0f} Mbit/s, {network['ms_each_way']:.0f} ms each way, "
+    rows = [
+        ["network", slow + f"{network['loss']:.0%} loss"],
+        ["masks per second, frames", f"{walk['masks_per_s']:.0f}, {walk['frames']:,}"],
+        ["Mbit/s of masks", f"{walk['mbit_per_s']:.2f}"],
+        [
+            "age of the mask in use, ms, p50 / p99",
+            f"{walk['age_ms']['p50']:.0f} / {walk['age_ms']['p99']:.0f}",
+        ],
+        ["frames with holes", str(walk["holes"])],
+        ["JOD lost against local cuts, mean / most", _jod_lost(walk)],
+        ["clients, half of them hostile; seconds", f"{many['clients']}; {many['seconds']:.0f}"],
+        [
+            "masks per second of an honest one, of as many views: alone / beside the hostile",
+            f"{many['alone_per_s']:.2f} / {many['beside_hostile_per_s']:.2f} of {many['asked_per_s']:.0f}",
+        ],
+        ["honest clients lost, clients let in without the token", _let_in(many)],
+        ["server's memory, MiB: alone, most; growth per minute", _memory(many)],
+    ]
+    return _with_provenance(markdown(["", ""], rows), "remote")
+
+
+def _jod_lost(walk: dict[str, Any]) -> str:
+    lost = walk["jod_lost_against_finest"]
+    return f"{lost['mean']:.3f} / {lost['most']:.3f}"
+
+
+def _let_in(many: dict[str, Any]) -> str:
+    return f"{many['honest_lost']}, {many['admitted_without_token']}"
+
+
+def _memory(many: dict[str, Any]) -> str:
+    return f"{many['mib_alone']:.0f}, {many['mib_most']:.0f}; {many['mib_per_minute']:+.1f}"
 
 
 def headlines() -> str:
@@ -453,10 +537,13 @@ def _fused() -> tuple[str, str]:
 
 
 def _window() -> tuple[str, str]:
-    found = result("window")
-    text = f"{found['fps']:.0f} frames per second, {found['latency_ms']['p50']:.0f} ms from mouse to screen"
-    size = f"{found['width']}x{found['height']}"
-    return f"the window, `room`, {size}, radius 15 %, 1 spp, mouse moving", text
+    medians = result("window")["medians"]
+    texts = [
+        f"{found['fps']:.0f} frames per second, {found['latency_ms']:.0f} ms from mouse to screen"
+        for found in (medians["qt"], medians["browser"])
+    ]
+    text = f"{texts[0]}; in a browser {texts[1]}"
+    return "the window, `room`, 640x480, radius 15 %, 1 spp, mouse moving", text
 
 
 def _prepared() -> tuple[str, str]:
@@ -517,7 +604,20 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
 )
 _MADE = (
     *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators),
-    *(periphery, levels, acuity, studies, frames, raster, window, stored, colmap),
+    *(
+        periphery,
+        levels,
+        acuity,
+        studies,
+        frames,
+        raster,
+        window,
+        watching,
+        late_warp,
+        remote,
+        stored,
+        colmap,
+    ),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},
