@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from compose.base.errors import UserError, one_line
+from compose.base.files import locked
 from hybrid.base.cache_folder import newest_forest, scene_folder
 from hybrid.base.progress import Bar, Bars
 from hybrid.preparation.preparation import Staged, prepare
@@ -31,9 +32,8 @@ from splat.model.forest import Forest
 
 # Of the process. The window's share of two busy cores is about three quarters.
 _NICENESS = 5
-# Seconds between two lines about the progress, and for which the process may save what it has when it is to
-# end.
-_EVERY, _LAST_SECONDS = 1.0, 20.0
+# Seconds between two lines about the progress.
+_EVERY = 1.0
 
 
 @dataclass(frozen=True)
@@ -84,26 +84,21 @@ class Learner:
             # Ctrl-C is for the window, which ends this.
             start_new_session=True,
         )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+        threading.Thread(target=self._read, daemon=True).start()
 
     def stop(self) -> None:
-        """Ends the process; the next one goes on where it was."""
+        """Tells the process to save what it has, and to end; the next one goes on where it was."""
         self._ending = True
         assert self._process.stdin is not None
         self._process.stdin.close()
-        try:
-            self._process.wait(_LAST_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._reader.join()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
+            if self._ending:
+                continue
             told = json.loads(line)
-            if "forest" in told and not self._ending:
+            if "forest" in told:
                 path = Path(told["forest"])
                 self.forests.put((path, load_forest(path)))
             self._say(told["line"])
@@ -169,7 +164,9 @@ def _learn(given: dict[str, str | bool | None], tell: Callable[..., None]) -> No
 
     forest = None if start is None else load_forest(str(start))
     settings = PreparationSettings(quality=LIVE, held_out=0)
-    prepared = prepare(scene, settings, _bars(tell), start=forest, told=told)
+    # Another window may still be learning it.
+    with locked(scene_folder(scene.name, scene.hash) / "learning"):
+        prepared = prepare(scene, settings, _bars(tell), start=forest, told=told)
     tell("all stages are learnt", Path(prepared.facts["forest"]))
 
 

@@ -13,6 +13,7 @@ from compose.fovea.warping import CELL, grid, warped
 from compose.image.device_image import DeviceImage
 from tests.compose.arrays_of import floats, image_on
 from tests.compose.fovea.plain_warping import plain_warped, sampled, seen_from
+from tests.extremes import extreme
 
 WIDTH, HEIGHT = 90, 62
 CAMERA = Camera(np.eye(4), WIDTH, HEIGHT, 80.0, 84.0, 44.0, 32.0)
@@ -138,13 +139,19 @@ def test_what_comes_into_view_shows_what_is_behind(arrays, scene, aside):
     assert np.abs(found - expected)[uncovered & (found[..., 0] < 0.1)].mean() < 0.1
 
 
-def test_beyond_the_border_the_border_goes_on(arrays):
+@extreme(
+    "a viewer who has turned round",
+    given="a frame warped to a camera that sees nothing of it",
+    expected="its border goes on; nothing black",
+)
+def test_beyond_the_border_the_border_goes_on(arrays, got):
     image = image_of(two_walls, CAMERA)
     for turn in (25.0, 90.0, 180.0):
         found = shown(arrays, two_walls, moved(0.1, 0.0, 0.5, turn))
         assert np.isfinite(found).all()
         assert found.min() >= image.min() - 1e-6
         assert found.max(axis=2).min() > 0.2
+    got(f"least {found.max(axis=2).min():.2f} of a largest {image.max():.2f}")
 
 
 def test_things_before_the_eye_leave_the_others_in_place(arrays):

@@ -30,6 +30,7 @@ from hybrid.window.messages import Request, ShownFrame
 from hybrid.window.render_thread import RenderThread
 from hybrid.window.viewer import Viewer, WindowOptions
 from tests.chromium import chromium, until
+from tests.extremes import extreme
 from tests.hybrid.window.fakes import Source, shown
 
 
@@ -219,7 +220,12 @@ def test_what_makes_no_sense_and_what_is_too_large_harms_nobody(served):
         assert received(page, "values")[0]["values"]["samples"][0] == 3
 
 
-def test_a_page_that_is_never_ready_gets_two_frames(served):
+@extreme(
+    "a page that shows nothing",
+    given="a browser that never says that a frame was shown",
+    expected="two frames, and no queue",
+)
+def test_a_page_that_is_never_ready_gets_two_frames(served, got):
     with served.connect() as page:
         for x in range(40):
             page.send(json.dumps({"type": "pointer_move", "x": x, "y": 60, "timestamp": float(x)}))
@@ -228,6 +234,7 @@ def test_a_page_that_is_never_ready_gets_two_frames(served):
         while not messages[-1].get("overlay"):
             messages.append(following(page)[0])
         assert sum("frame" in one for one in messages) <= 2
+    got("two frames")
 
 
 def test_a_second_page_takes_over(served):

@@ -8,6 +8,7 @@ import pytest
 
 from hybrid.window import scene_watch
 from hybrid.window.scene_watch import SceneWatch
+from tests.extremes import extreme
 
 SCENE = '<scene version="3.0.0"><string name="filename" value="{}"/></scene>'
 
@@ -51,7 +52,12 @@ def test_files_that_the_scene_does_not_name_do_not_matter(watched):
     assert looks(watch) == [False, True, False]
 
 
-def test_a_file_that_cannot_be_read_is_waited_for(watched):
+@extreme(
+    "a scene's file that is half written, then gone",
+    given="a window that watches it",
+    expected="nothing until it can be read again",
+)
+def test_a_file_that_cannot_be_read_is_waited_for(watched, got):
     file, watch = watched
     file.write_text("<scene")
     assert not any(looks(watch))
@@ -59,6 +65,7 @@ def test_a_file_that_cannot_be_read_is_waited_for(watched):
     assert not any(looks(watch))
     file.write_text(SCENE.format("a.obj") + " ")
     assert looks(watch) == [False, True, False]
+    got("waited for")
 
 
 def test_it_does_not_look_all_the_time(watched, monkeypatch):

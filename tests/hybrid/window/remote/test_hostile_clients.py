@@ -18,6 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
 from hybrid.window.remote.protocol import FOREST_WANTED, SUBPROTOCOL, VIEW, MaskMessage, ViewMessage
+from tests.extremes import extreme
 from tests.hybrid.window.remote.conftest import LONG, TOKEN, until
 
 DISPLAY = DISPLAYS["desktop"]
@@ -254,7 +255,12 @@ def test_there_are_so_many_clients_at_most(serve, log, camera):
         is_served(served, camera)
 
 
-def test_there_are_so_many_strangers_at_most(serve, log, camera):
+@extreme(
+    "more connections than a server takes",
+    given="connections that say nothing",
+    expected="refused beyond a number; clients are served",
+)
+def test_there_are_so_many_strangers_at_most(serve, log, camera, got):
     with serve(clients=1) as served, contextlib.ExitStack() as stack:
         for _ in range(33):
             stack.enter_context(socket.create_connection(("localhost", served.port), timeout=LONG))
@@ -262,6 +268,7 @@ def test_there_are_so_many_strangers_at_most(serve, log, camera):
         with contextlib.suppress(ConnectionResetError):
             assert another.recv(1) == b""
         assert log.next().endswith("refused: too many connections")
+    got("refused; the client was served")
 
 
 def test_a_client_that_is_ended_while_its_cut_is_found_leaves_others_alone(serve, camera):
