@@ -119,7 +119,6 @@ def test_the_picture_is_that_of_the_local_cut(serve, forest, camera):
     with serve(level=4.0) as served:
         source = RemoteSource(served.link())
         shown = source.show(Request(asked), quick=True)
-        first = shown.image
         while not shown.finished:
             shown = source.show(Request(asked), quick=True)
         source.close()
@@ -132,9 +131,6 @@ def test_the_picture_is_that_of_the_local_cut(serve, forest, camera):
     # What `level` draws without a server differs where a level changes on the way up a tree.
     free = SplatRenderer(own).frame(replace(asked, level=level, acuity_model=ACUITY))
     assert np.abs(free.composite - expected).mean() < 0.02 * free.composite.mean()
-    # There was something coarser at once.
-    assert not np.array_equal(first, shown.image)
-    assert first.any()
 
 
 def test_views_that_need_paths_show_the_splats(serve, camera, tmp_path):
