@@ -39,6 +39,8 @@ from pathtrace.trace.tracer import Tracer
 _SIZE = 640, 480
 # Seconds for which the rate is measured, and for which `room` learns before it changes.
 _RATED, _LEARNT = 20.0, 90.0
+# Seconds within which a process that learns ends.
+_REST = 10.0
 # Views that judge the periphery, and their side in pixels.
 _VIEWS, _SIDE = 4, 128
 # What changes, by name: a text of the scene's file and what it becomes, and the seconds given to learn it.
@@ -88,7 +90,10 @@ def _first_frame_seconds(scene: str) -> float:
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        return time.perf_counter() - start
+        seconds = time.perf_counter() - start
+    # What was begun to be learnt is saved meanwhile.
+    time.sleep(_REST)
+    return seconds
 
 
 def _rates(scene: str) -> dict[str, float]:
@@ -100,6 +105,7 @@ def _rates(scene: str) -> dict[str, float]:
         _watch(source, 3.0)
         _watch(source, _RATED, times)
         source.close()
+        time.sleep(_REST)
         found[name] = statistics.median(times)
     return found
 

@@ -295,7 +295,8 @@ class _Job:
         path = self.folder / "forest.safetensors"
         if path.is_file():
             return load_forest(path)
-        forest = with_errors(read_frame_set(frames.folder), forest)
+        if self.settings.quality != GLIMPSE:
+            forest = with_errors(read_frame_set(frames.folder), forest)
         if self.planner.fits_fusion:
             cache, seed = cache_for(self.scene), self.settings.seed
             close_ups = _CLOSE_UPS[self.planner.stages[-1].scale]

@@ -101,8 +101,8 @@ STAGES = (
     Stage(views=40, scale=2, spp=32, gaussians=74_000, steps=1000),
     Stage(views=60, scale=4, spp=64, gaussians=107_000, steps=1300),
 )
-# For somebody who waits for the first frame: 21 dB in `room`, where the first stage has 31.
-_FIRST_LOOK = Stage(views=12, scale=1, spp=4, gaussians=20_000, steps=60)
+# For somebody who waits for the first frame.
+_FIRST_LOOK = Stage(views=8, scale=1, spp=4, gaussians=20_000, steps=60)
 # A first look alone, and all stages after one.
 GLIMPSE, LIVE = "glimpse", "live"
 # Stages by quality.

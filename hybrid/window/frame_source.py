@@ -134,7 +134,7 @@ class FrameSource:
         claimed = replace(forest, scene_name=scene.name, scene_hash=scene.hash)
         self.renderer = LiveRenderer(scene, claimed)
         self._last = self._converging = None
-        watched.learn(self._forest)
+        watched.learn(self._forest, urgent=True)
 
     def close(self) -> None:
         """Ends what runs beside."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +53,8 @@ def quiet(done: int, total: int, label: str) -> None:
 def learn(start: Path | None) -> list[tuple[str, Path | None]]:
     """What the process tells that learns the Cornell box, without those about its progress."""
     told: list[tuple[str, Path | None]] = []
-    given = {"source": "cornell", "thin_glass": False, "sensor": None, "backend": "auto"}
     learning._learn(
-        {**given, "start": None if start is None else str(start)},
+        {"scene": asdict(CORNELL), "start": None if start is None else str(start), "urgent": False},
         lambda line, forest=None: told.append((line, forest)),
     )
     return [one for one in told if not one[0].startswith("learning: ")]
@@ -64,6 +63,8 @@ def learn(start: Path | None) -> list[tuple[str, Path | None]]:
 @pytest.fixture
 def tiny(monkeypatch):
     make_tiny(monkeypatch.setattr)
+    # Of this process, which could not take it back.
+    monkeypatch.setattr(learning, "_give_way", lambda: None)
 
 
 def test_each_stage_is_told_with_its_forest(tiny):
@@ -134,8 +135,8 @@ class FakeWatched(Watched):
     def changed(self):
         return self.scenes.pop() if self.scenes else None
 
-    def learn(self, start):
-        self.starts.append(start)
+    def learn(self, start, urgent=False):
+        self.starts.append((start, urgent))
 
 
 @pytest.fixture
@@ -189,7 +190,7 @@ def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, made, tm
     np.testing.assert_allclose(source.renderer.splats(asked(source).settings), splats, atol=1e-6)
     disc = [np.mean(shown.frame.fovea.radiance) for shown in (before, after)]
     assert 0.05 < disc[1] / disc[0] < 0.2
-    assert watched.starts == [made / "box.forest"]
+    assert watched.starts == [(made / "box.forest", True)]
     learnt = replace(darkened(source.renderer.periphery.forest), scene_hash=source.renderer.scene.hash)
     watched.forests.append((Path("next.safetensors"), learnt))
     assert source.renew(quiet)
