@@ -40,8 +40,8 @@ _PLACED = {
 }
 _PATHS = "hybrid sweep {0} --over paths --size 640 480 --repeats 9 --forest {1}.forest"
 # Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
-# folder; words of FOUND stand for scene files, VISION for the folder of data about people's vision; the scenes
-# of `benchmarks.hard_scenes` lie in the working folder as well.
+# folder; words of FOUND stand for scene files, VISION for the folder of data about people's vision; scenes of
+# `benchmarks.hard_scenes` lie in the working folder as well.
 MEASUREMENTS = {
     "quickstart": "hybrid quickstart room --out out",
     "prepare-room": "hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5",
@@ -59,7 +59,7 @@ MEASUREMENTS = {
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
     "watching": "python -m benchmarks.watching room STAIRCASE CLASSROOM AJAR",
     "late-warp": f"python -m benchmarks.late_warp room {_FRAMES}",
-    "remote": f"python -m benchmarks.remote room --seconds 170 --hostile-seconds 120 {_FRAMES}",
+    "remote": f"python -m benchmarks.remote room --seconds 30 {_FRAMES}",
     "integrator-room": "hybrid bench integrator room --reference-spp 512",
     "integrator-staircase2": "hybrid bench integrator STAIRCASE --reference-spp 512",
     "raster": "hybrid bench raster",

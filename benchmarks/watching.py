@@ -151,7 +151,7 @@ def main() -> None:
     if given.first:
         return _first(given.first)
     found: dict[str, Any] = {"first_frame_s": {}, "ms": {}}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for number, scene in enumerate(given.scenes):
             os.environ["HYBRID_HOME"] = f"{folder}/{number}"
             name = Path(scene).parent.name or scene
