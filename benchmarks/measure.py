@@ -57,7 +57,6 @@ MEASUREMENTS = {
     "periphery": f"hybrid bench periphery room {_FRAMES}",
     "levels": f"python -m benchmarks.levels room {_FRAMES}",
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
-    "watching": "python -m benchmarks.watching room STAIRCASE CLASSROOM AJAR",
     "late-warp": f"python -m benchmarks.late_warp room {_FRAMES}",
     "remote": f"python -m benchmarks.remote room --seconds 30 {_FRAMES}",
     "integrator-room": "hybrid bench integrator room --reference-spp 512",

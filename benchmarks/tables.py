@@ -399,35 +399,6 @@ def window() -> str:
     return _with_provenance(markdown(header, rows), "window")
 
 
-def watching() -> str:
-    """Scenes that nothing was prepared for: when they are seen, and what learning costs and brings."""
-    found = result("watching")
-    scenes = markdown(
-        ["scene", "first hybrid frame, s", "frame alone, ms", "while learning, ms", "rate left"],
-        [
-            [
-                scene,
-                f"{seconds:.1f}",
-                *(f"{found['ms'][scene][name]:.0f}" for name in ("alone", "learning")),
-                f"{found['ms'][scene]['alone'] / found['ms'][scene]['learning']:.0%}",
-            ]
-            for scene, seconds in found["first_frame_s"].items()
-        ],
-    )
-    changes = markdown(
-        ["change of `room`", "before, dB", "just after", "learnt", "after, s"],
-        [
-            [
-                name,
-                *(f"{row[when]:.1f}" for when in ("before", "unlearnt", "learnt")),
-                f"{row['seconds']:.0f}",
-            ]
-            for name, row in found["changes"].items()
-        ],
-    )
-    return _with_provenance(f"{scenes}\n\n{changes}", "watching")
-
-
 def late_warp() -> str:
     """What frames gain that are warped to where the viewer is."""
     rows = [
@@ -460,7 +431,8 @@ def remote() -> str:
         ["clients, half of them hostile; seconds", f"{many['clients']}; {many['seconds']:.0f}"],
         [
             "masks per second of an honest one, of as many views: alone / beside the hostile",
-            f"{many['alone_per_s']:.2f} / {many['beside_hostile_per_s']:.2f} of {many['asked_per_s']:.0f}",
+            f"{many['alone_per_s']['mean']:.2f} / {many['beside_hostile_per_s']['mean']:.2f} "
+            f"of {many['asked_per_s']:.0f}",
         ],
         ["honest clients lost, clients let in without the token", _let_in(many)],
         ["server's memory, MiB: alone, most; growth per minute", _memory(many)],
@@ -612,7 +584,6 @@ _MADE = (
         frames,
         raster,
         window,
-        watching,
         late_warp,
         remote,
         stored,
