@@ -227,11 +227,12 @@ def store_plan(plan: ScenePlan) -> None:
 def with_plan_of(scene: Scene, other: Scene) -> Scene:
     """A scene with its own plan, else with that of another version of it, which is stored as its own.
 
-    UserError if something moves in one of them only, or the cache folder cannot be written.
+    It has none if neither has, or if something moves in one of them only. UserError if the cache folder
+    cannot be written.
     """
     plan = _stored(scene)
-    if plan is None and (known := _stored(other)) is not None:
-        require_plan(known.values(), scene, "the scene before its change")
+    known = _stored(other) if plan is None and motion_of(scene) == motion_of(other) else None
+    if known is not None:
         plan = replace(known, scene_name=scene.name, scene_hash=scene.own_hash)
         store_plan(plan)
     return scene if plan is None else scene.planned(plan.values())

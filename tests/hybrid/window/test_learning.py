@@ -13,7 +13,7 @@ import torch
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import newest_forest, store_forest
 from hybrid.preparation.preparation import prepare
-from hybrid.preparation.scene_plan import planned_scene, scene_as_stored
+from hybrid.preparation.scene_plan import planned_scene, scene_as_stored, with_plan_of
 from hybrid.preparation.stages import PreparationSettings
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
@@ -27,6 +27,7 @@ from splat.model.forest import Forest
 from splat.model.gaussians import SH_DC
 from tests.extremes import extreme
 from tests.hybrid.preparation.tiny import make_tiny
+from tests.moving import moving_corner
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 CORNELL = ShownScene("cornell")
@@ -195,6 +196,11 @@ def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, made, tm
     watched.forests.append((Path("next.safetensors"), learnt))
     assert source.renew(quiet)
     assert source.renderer.splats(asked(source).settings).mean() < 0.5 * splats.mean()
+
+
+def test_a_scene_that_moves_is_not_planned_as_one_that_stands_still(tmp_path):
+    still, moving = planned_scene("cornell"), moving_corner(tmp_path)
+    assert with_plan_of(moving, still) is moving
 
 
 @extreme(
