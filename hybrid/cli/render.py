@@ -159,6 +159,8 @@ def render(
         gaussians=gaussians,
     )
     _check_layers(settings)
+    # Before a forest is prepared for nothing.
+    _require_cells(settings)
     _check_outputs(output, detail, eyes, gaze_trace is not None or is_path)
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
@@ -225,12 +227,17 @@ def _with_fovea(settings: FrameSettings, scene: Scene, given: str | None) -> Fra
 
     if given is None and scene.plan.get(DENOISING) == RAW:
         settings = replace(settings, fovea=FoveaMode.RAW)
+    _require_cells(settings)
+    return settings
+
+
+def _require_cells(settings: FrameSettings) -> None:
+    """Refuses paths where they are needed in frames that would be worse for them."""
     if settings.paths is Placement.WHERE_NEEDED and not settings.traces_cells:
         raise UserError(
             "--paths where-needed: the fovea is raw, and its noise is worse than what paths would mend; "
             "choose --fovea fused or denoised"
         )
-    return settings
 
 
 @dataclass(frozen=True)

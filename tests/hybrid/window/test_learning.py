@@ -12,9 +12,7 @@ import torch
 
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import newest_forest, store_forest
-from hybrid.preparation.preparation import prepare
 from hybrid.preparation.scene_plan import planned_scene, scene_as_stored, with_plan_of
-from hybrid.preparation.stages import PreparationSettings
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window import learning, scene_watch
@@ -61,14 +59,18 @@ def learn(start: Path | None) -> list[tuple[str, Path | None]]:
     return [one for one in told if not one[0].startswith("learning: ")]
 
 
-@pytest.fixture
-def tiny(monkeypatch):
-    make_tiny(monkeypatch.setattr)
-    # Of this process, which could not take it back.
+@pytest.fixture(autouse=True)
+def keeps_its_time(monkeypatch):
+    """This process could not take back that it gives way."""
     monkeypatch.setattr(learning, "_give_way", lambda: None)
 
 
-def test_each_stage_is_told_with_its_forest(tiny):
+@pytest.fixture
+def tiny(monkeypatch):
+    make_tiny(monkeypatch.setattr)
+
+
+def test_each_stage_is_told_with_its_forest_and_the_last_one_again(tiny):
     told = learn(None)
     assert [line.split(", ")[0].split("frames ")[-1] for line, _ in told] == [
         "after stage 1 of 3",
@@ -79,31 +81,17 @@ def test_each_stage_is_told_with_its_forest(tiny):
     forests = [load_forest(path) for _, path in told]
     # What follows the last stage changes no Gaussian.
     assert len({forest.digest() for forest in forests}) == 3
-    assert newest_forest(planned_scene("cornell")).name.startswith("live-")
+    newest = newest_forest(planned_scene("cornell"))
+    assert newest.name.startswith("live-")
+    assert forest_to_show(planned_scene("cornell")) == (newest, True)
+    assert learn(None) == [told[-1]]
 
 
-def test_what_was_learnt_goes_on_or_is_told_again(tiny):
-    *_, (_, last) = learn(None)
-    assert forest_to_show(planned_scene("cornell")) == (newest_forest(planned_scene("cornell")), True)
-    assert [path for _, path in learn(None)] == [last]
-
-
-def test_a_forest_that_was_prepared_is_told_instead_of_another(tiny):
+def test_a_forest_that_was_prepared_is_told_instead_of_another(made):
     scene = planned_scene("cornell")
-    forest = prepare(scene, PreparationSettings(quality="draft", held_out=0)).forest
-    store_forest(forest, "mine")
+    store_forest(load_forest(made / "box.forest"), "mine")
     assert learn(None) == [("prepared earlier", newest_forest(scene))]
     assert forest_to_show(scene) == (newest_forest(scene), False)
-
-
-def test_before_anything_is_stored_the_last_stage_is_shown(tiny):
-    scene = load_scene("cornell")
-    assert forest_to_show(scene) == (None, True)
-    glimpse = prepare(scene, PreparationSettings(quality="glimpse", held_out=0))
-    path, learns = forest_to_show(scene)
-    assert learns
-    assert path is not None
-    assert path.parent == Path(glimpse.facts["forest"]).parent
 
 
 def test_a_process_says_why_it_has_ended():
@@ -226,6 +214,7 @@ def test_a_scene_that_cannot_be_read_stays_as_it_was(tmp_path, monkeypatch, got)
 
 def test_a_glimpse_is_shown_where_there_is_no_forest(tiny):
     """It is that of the scene without a plan, for which there is no time."""
+    assert forest_to_show(load_scene("cornell")) == (None, True)
     source = prepared(CORNELL, None, False, FrameSettings(fovea="raw"), quiet, Said())
     assert source.layers == 1
     path, learns = forest_to_show(load_scene("cornell"))
