@@ -22,12 +22,7 @@ from typing import Any
 from benchmarks.hard_scenes import SCENES
 from benchmarks.tables import DATA, ROOT
 
-# Scenes of others, by the words that stand for them in commands.
-FOUND = {
-    "STAIRCASE": "staircase2/scene.xml",
-    "CLASSROOM": "classroom/scene.xml",
-    "AJAR": "veach-ajar/scene.xml",
-}
+STAIRCASE = "staircase2/scene.xml"
 # What requires this forest requires `prepare-room`, which makes it.
 _FRAMES = "--forest room.forest"
 _PREPARED = "hybrid prepare {0}/scene.xml -o {0}.forest --held-out 4 --minutes 1 --seed 5"
@@ -40,8 +35,8 @@ _PLACED = {
 }
 _PATHS = "hybrid sweep {0} --over paths --size 640 480 --repeats 9 --forest {1}.forest"
 # Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
-# folder; words of FOUND stand for scene files, VISION for the folder of data about people's vision; scenes of
-# `benchmarks.hard_scenes` lie in the working folder as well.
+# folder; STAIRCASE stands for the scene file of staircase2, VISION for the folder of data about people's
+# vision; the scenes of `benchmarks.hard_scenes` lie in the working folder as well.
 MEASUREMENTS = {
     "quickstart": "hybrid quickstart room --out out",
     "prepare-room": "hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5",
@@ -109,7 +104,7 @@ def measure(name: str, work: Path, places: dict[str, Path]) -> None:
             check=True,
         )
         found: dict[str, Any] = {
-            "command": " ".join(FOUND.get(word, word) for word in command.split()),
+            "command": command.replace("STAIRCASE", STAIRCASE),
             "date": datetime.now(timezone.utc).date().isoformat(),
             "seconds": round(time.perf_counter() - start, 1),
             **current,
@@ -133,9 +128,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
-    parser.add_argument(
-        "--scenes", type=Path, default=Path("../shared/scenes"), help="where scenes of others lie"
-    )
+    parser.add_argument("--scenes", type=Path, default=Path("../shared/scenes"), help="where staircase2 lies")
     parser.add_argument("--vision", type=Path, default=Path("../shared/data"), help="data of people's vision")
     parser.add_argument("--work", type=Path, default=Path("out/measure"), help="working folder")
     options = parser.parse_args()
@@ -149,8 +142,7 @@ def main() -> None:
     for scene, write in SCENES.items():
         if f"prepare-{scene}" in names:
             write(work / scene)
-    places = {word: options.scenes.resolve() / scene for word, scene in FOUND.items()}
-    places["VISION"] = options.vision.resolve()
+    places = {"STAIRCASE": options.scenes.resolve() / STAIRCASE, "VISION": options.vision.resolve()}
     for name in names:
         print(f"{name}: {MEASUREMENTS[name]}", flush=True)
         measure(name, work, places)

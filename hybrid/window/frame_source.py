@@ -196,10 +196,8 @@ def prepared(
     """
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(scene.backend)
-    loaded, bars = (
-        scene_as_stored(scene.source, thin_glass=scene.thin_glass, sensor=scene.sensor),
-        bars_of(report),
-    )
+    bars = bars_of(report)
+    loaded = scene_as_stored(scene.source, thin_glass=scene.thin_glass, sensor=scene.sensor)
     path, is_unfinished = (forest, False) if forest else forest_to_show(loaded)
     if path is None:
         glimpse = prepare(loaded, PreparationSettings(quality=GLIMPSE, held_out=0), bars)

@@ -19,12 +19,16 @@ class SceneWatch:
     """Looks now and then at the files of a scene, given as in `load_scene`."""
 
     def __init__(self, source: str | Path):
-        self._source = source
+        self._source, self._files = source, files_of_scene(source)
+        self._seen: _Stamps = {}
         self._known = self._seen = self._stamps()
         self._next = 0.0
 
     def changed(self) -> bool:
-        """Whether files have changed since the last time, and are no longer being written."""
+        """Whether files have changed since the last time, and are no longer being written.
+
+        What files there are is asked of the scene after a change only: its XML may have megabytes.
+        """
         now = time.monotonic()
         if now < self._next:
             return False
@@ -32,15 +36,19 @@ class SceneWatch:
         before, self._seen = self._seen, self._stamps()
         if self._seen == self._known or self._seen != before:
             return False
-        self._known = self._seen
+        try:
+            self._files = files_of_scene(self._source)
+        except UserError:
+            return False  # until it can be read
+        self._known = self._seen = self._stamps()
         return True
 
     def _stamps(self) -> _Stamps:
-        """Times and sizes of the files that the scene names now; as before while it cannot be read."""
+        """Times and sizes of the files; as before while one of them is missing."""
         try:
-            return {file: _stamp(file) for file in files_of_scene(self._source)}
-        except (UserError, OSError):
-            return getattr(self, "_seen", {})
+            return {file: _stamp(file) for file in self._files}
+        except OSError:
+            return self._seen
 
 
 def _stamp(file: Path) -> tuple[int, int]:

@@ -8,30 +8,33 @@ import pytest
 
 from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import CONTINUOUS, LayerImage
-from splat.model.forest import Forest, forest_of
+from splat.model.forest import Forest
 from splat.model.hierarchy import HierarchyNodes
 from splat.model.layer import static_layer
 from splat.raster.cut import HierarchyCut, Turned, turned_footprints
 from splat.raster.projection import Footprints
 from tests.extremes import extreme
-from tests.splat.lod.views import CORNERS, drawn, everything, frame_camera, no_cutoff, ramp
+from tests.splat.lod.views import (
+    CORNERS,
+    drawn,
+    everything,
+    flat,
+    frame_camera,
+    no_cutoff,
+    overlapping_forest,
+    ramp,
+)
 from tests.splat.samples import gaussians
 
 
 @pytest.fixture(scope="module")
 def forest() -> Forest:
-    leaves = gaussians("overlap", 300, 1)
-    leaves.log_scales -= 1.5
-    return forest_of([static_layer(leaves)], 120.0, "", "")
+    return overlapping_forest()
 
 
 @pytest.fixture(scope="module")
 def cut(arrays, forest) -> HierarchyCut:
     return HierarchyCut(arrays, forest.hierarchy_nodes)
-
-
-def flat(level: float) -> np.ndarray:
-    return np.full(CORNERS, level, dtype=np.float32)
 
 
 def octaves(nodes: HierarchyNodes, camera, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

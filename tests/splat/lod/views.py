@@ -26,6 +26,18 @@ def frame_camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:
     return camera_from_pose(pose, width, height, 120.0, 120.0, width / 2, height / 2)
 
 
+def overlapping_forest() -> Forest:
+    """300 Gaussians, many of which overlap, in one layer."""
+    leaves = gaussians("overlap", 300, 1)
+    leaves.log_scales -= 1.5
+    return forest_of([static_layer(leaves)], 120.0, "", "")
+
+
+def flat(level: float) -> np.ndarray:
+    """A lattice on which every level is the same."""
+    return np.full(CORNERS, level, dtype=np.float32)
+
+
 def small_forest(n: int = 80) -> Forest:
     """Three layers, trained with the focal length of `frame_camera`."""
     return forest_of(build_forest(static_layer(gaussians("overlap", n, 1)), 0.05, 3), 120.0, "", "")

@@ -9,28 +9,20 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import camera_from_pose
-from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
+from splat.model.forest import Forest
 from splat.raster.complete_cut import CompleteCuts
 from splat.raster.cut import HierarchyCut
-from tests.splat.lod.views import CORNERS, frame_camera, ramp
-from tests.splat.samples import gaussians
+from tests.splat.lod.views import flat, frame_camera, overlapping_forest, ramp
 
 
 @pytest.fixture(scope="module")
 def forest() -> Forest:
-    leaves = gaussians("overlap", 300, 1)
-    leaves.log_scales -= 1.5
-    return forest_of([static_layer(leaves)], 120.0, "", "")
+    return overlapping_forest()
 
 
 @pytest.fixture(scope="module")
 def cuts(arrays, forest) -> CompleteCuts:
     return CompleteCuts(arrays, forest.hierarchy_nodes)
-
-
-def flat(level: float) -> np.ndarray:
-    return np.full(CORNERS, level, dtype=np.float32)
 
 
 def looking(yaw: float, height: int = 100):
