@@ -232,8 +232,8 @@ def _is_stale(part: os.DirEntry[str]) -> bool:
     return time.time() - part.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
 
 
-def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> Any:
-    """The content of a JSON file of at most that many bytes.
+def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> dict[str, Any]:
+    """The content of a JSON file of at most that many bytes; whether it is an object is not checked.
 
     Unless it must be `finite`, it may hold NaN and Infinity, which JSON does not have but Python writes.
 
@@ -246,8 +246,8 @@ def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> 
     return parse_json(path.read_text(encoding="utf-8-sig"), finite)
 
 
-def parse_json(text: str, finite: bool = True) -> Any:
-    """The content of a JSON text; ValueError if it is not JSON, too deep, or a number is too large."""
+def parse_json(text: str, finite: bool = True) -> dict[str, Any]:
+    """As `read_json`, of a text; ValueError if it is not JSON, too deep, or a number is too large."""
     constant = _refused if finite else float
     try:
         return json.loads(text, parse_int=_whole, parse_float=_number, parse_constant=constant)
@@ -289,12 +289,12 @@ def under(prefix: str, values: Mapping[str, _Value]) -> dict[str, _Value]:
     return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
 
 
-def json_text(content: Any) -> str:
+def json_text(content: object) -> str:
     """The content, of types that JSON has, as an indented document; null for numbers that are not finite."""
     return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
 
 
-def _finite(content: Any) -> Any:
+def _finite(content: object) -> object:
     if isinstance(content, dict):
         return {name: _finite(value) for name, value in content.items()}
     if isinstance(content, list | tuple):

@@ -6,7 +6,8 @@ One view alone does not tell how far away a point is: it takes a few that agree.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # Relative difference of depths up to which a point is visible: what is not hidden may lie a little deeper
 # than what the four rays around it hit.
@@ -66,7 +70,14 @@ def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
 
 
 @dr.syntax
-def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: Any, shape: Any) -> Any:
+def _finest(
+    plain: ModuleType,
+    point: tuple[Float, ...],
+    views: Float,
+    depths: Float,
+    count: UInt,
+    shape: tuple[UInt, UInt],
+) -> tuple[Float, ...]:
     """Sizes of the three finest pixels that show a point, three (N,) Floats; inf where there are fewer."""
     x, y, z = point
     rows, columns = shape

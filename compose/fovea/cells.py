@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -15,6 +15,10 @@ from compose.eye.detail import CELL
 from compose.fovea.tiling import Tiling
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
+    from drjit.auto.ad import Float, UInt
+
     from compose.fovea.disc import Disc
 
 # Share of the cells that do not cover the splats entirely, those that are worth least: so weights are
@@ -85,7 +89,7 @@ class CellRegion:
             arrays, *frame, pixels, weights, (box[0], box[1]), tiling=Tiling(arrays, *frame, self.cells)
         )
 
-    def _listed(self, arrays: Arrays) -> tuple[Any, Any]:
+    def _listed(self, arrays: Arrays) -> tuple[UInt, Float]:
         """Row-major indices UInt (D,) of the pixels, cell by cell, and their weights."""
         plain = arrays.plain
         numbers = uploaded(plain.UInt, self.cells.astype(np.uint32))
@@ -103,7 +107,7 @@ class CellRegion:
             return pixel, weight
         inside = (row < arrays.constant(self.height)) & (column < arrays.constant(self.width))
         dr.eval(pixel, weight, inside)
-        kept = dr.compress(inside)
+        kept = plain.UInt(dr.compress(inside))
         return dr.gather(plain.UInt, pixel, kept), dr.gather(plain.Float, weight, kept)
 
     def lattices(self) -> NDArray[np.float32]:
@@ -137,13 +141,13 @@ class CellRegion:
         return ~hidden.reshape(self.weights.shape)
 
 
-def _along(place: Any) -> Any:
+def _along(place: Float) -> Float:
     """Where on the lattice of a cell, 0 to 2, a row or column of its pixels lies."""
     end = CELL - 0.5 - place
     return dr.minimum((place + 0.5) * (1 / _BAND), 1) + 1 - dr.minimum(end * (1 / _BAND), 1)
 
 
-def _interpolated(plain: Any, lattices: Any, first: Any, down: Any, across: Any) -> Any:
+def _interpolated(plain: ModuleType, lattices: Float, first: UInt, down: Float, across: Float) -> Float:
     """Float, a 3 x 3 lattice that starts at an index, at a place from 0 to 2 along each side."""
     row, column = (plain.UInt(dr.minimum(at, 1)) for at in (down, across))
     taps = [dr.gather(plain.Float, lattices, first + (row + k // 2) * 3 + column + k % 2) for k in range(4)]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays
 from compose.base.traced_samples import ALWAYS
 from compose.fovea.samples import RECORD
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # Views that are remembered.
 MOST_VIEWS = 16
@@ -38,10 +42,10 @@ class EarlierView:
         time: that it showed, from 0 to 1.
     """
 
-    records: list[Any]
-    position: list[Any]
-    gloss: Any
-    mover: Any
+    records: list[Float]
+    position: list[Float]
+    gloss: Float
+    mover: Float
     viewpoint: NDArray[np.float64]
     time: float = 0.0
 
@@ -54,10 +58,10 @@ class SamplePlaces:
     was hit, the number of the view, less than MOST_VIEWS, and the number of what was hit among what moves.
     """
 
-    position: list[Any]
-    gloss: Any
-    view: Any
-    mover: Any
+    position: list[Float]
+    gloss: UInt
+    view: UInt
+    mover: UInt
 
 
 class EarlierViews:
@@ -119,39 +123,37 @@ class EarlierViews:
         self.viewpoints[number], self._times[number] = np.inf, np.nan
         self._first = (self._first + self._sizes.popleft()) % self._room
 
-    def places(self, index: Any) -> SamplePlaces:
+    def places(self, index: UInt) -> SamplePlaces:
         """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
         *position, tag = self.arrays.packet(self._places, _PLACE, self._slot(index))
         tag = self.arrays.plain.UInt(tag)
         gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
         return SamplePlaces(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
 
-    def records(self, index: Any) -> list[Any]:
+    def records(self, index: UInt) -> list[Float]:
         """Sixteen Floats (M,): the records of the samples at an index."""
         return list(self.arrays.packet(self._records, RECORD, self._slot(index)))
 
-    def _slot(self, index: Any) -> Any:
+    def _slot(self, index: UInt) -> UInt:
         """Where in the ring the samples at an index are."""
         # Its size is a power of two.
         return index + self.arrays.constant(self._first) & self.arrays.constant(self._room - 1)
 
-    def _empty(self) -> tuple[Any, Any]:
+    def _empty(self) -> tuple[Float, Float]:
         Float = self.arrays.plain.Float
         return dr.empty(Float, _PLACE * self._room), dr.empty(Float, RECORD * self._room)
 
     def _grow(self, samples: int, wanted: int) -> None:
         """Moves all samples to the start of a ring that has room for as many as wanted."""
-        moved: tuple[Any, ...] = ()
-        if samples:
-            index = dr.arange(self.arrays.plain.UInt, samples)
-            slot, packet = self._slot(index), self.arrays.packet
-            moved = packet(self._places, _PLACE, slot), packet(self._records, RECORD, slot), index
+        index = dr.arange(self.arrays.plain.UInt, samples)
+        slot, packet = self._slot(index), self.arrays.packet
+        places, records = packet(self._places, _PLACE, slot), packet(self._records, RECORD, slot)
         self._first, self._room = 0, 1 << (wanted - 1).bit_length()
         self._places, self._records = self._empty()
-        if moved:
-            self._scatter(*moved)
+        if samples:
+            self._scatter(places, records, index)
 
-    def _scatter(self, places: Any, records: Any, slot: Any) -> None:
+    def _scatter(self, places: Sequence[Float], records: Sequence[Float], slot: UInt) -> None:
         self.arrays.put_packet(self._places, places, slot)
         self.arrays.put_packet(self._records, records, slot)
         dr.eval(self._places, self._records)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,9 +104,9 @@ class FoveaRegion:
     @cached_property
     def _rows(self) -> _Rows:
         """The disc's pixels by rows: work that grows with the frame's height only."""
-        radius, (x, y) = np.float64(np.inf if self.covers_frame else self.outer), self.centre
+        radius, (x, y) = np.array(np.inf if self.covers_frame else self.outer), self.centre
         top, stop = _span(y, radius, self.height)
-        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
+        down_squared = (np.arange(int(top), int(stop)) + 0.5 - y) ** 2
         starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), self.width)
         counts = np.maximum(stops - starts, 0)
         used = np.flatnonzero(counts)
@@ -208,10 +208,12 @@ class _Rows:
     top: int
     start: NDArray[np.int64]
     count: NDArray[np.int64]
-    down_squared: NDArray[np.float64]
+    down_squared: NDArray[np.floating]
 
 
-def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
+def _span(
+    centre: float, half: NDArray[np.floating], size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First pixel of an axis whose centre lies within `half` of a position, and the one after the last."""
     ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
     first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)

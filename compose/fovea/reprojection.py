@@ -7,8 +7,8 @@ the bit, on any number of threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -19,6 +19,9 @@ from compose.camera.camera import Camera
 from compose.fovea.earlier_views import EarlierViews, SamplePlaces
 from compose.fovea.samples import RECORD, Samples
 from compose.image.device_image import Box, shape_of
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, Float64, UInt
 
 # Relative difference of distances up to which two hits are taken for the same surface.
 SAME_SURFACE = 0.005
@@ -46,7 +49,7 @@ class VisibleSurfaces:
 
     arrays: Arrays
     box: Box
-    table: Any
+    table: Float
 
     @staticmethod
     def of(arrays: Arrays, camera: Camera, new: Samples, box: Box) -> VisibleSurfaces:
@@ -65,7 +68,7 @@ class VisibleSurfaces:
         dr.eval(sampled)
         return VisibleSurfaces(arrays, box, _around(arrays, sampled, height, width))
 
-    def contain(self, pixel: Any, distance: Any, gloss: Any, active: Any) -> Any:
+    def contain(self, pixel: UInt, distance: Float, gloss: UInt, active: Bool) -> Bool:
         """Whether hits lie on these surfaces, if active, Bool (M,).
 
         Given are the pixel of the rectangle that each is in, UInt (M,), its distance from the camera, Float
@@ -77,7 +80,7 @@ class VisibleSurfaces:
         return same & ((around[2] == 0) | (gloss == SPECULAR))
 
 
-def _around(arrays: Arrays, sampled: Any, height: int, width: int) -> Any:
+def _around(arrays: Arrays, sampled: Float, height: int, width: int) -> Float:
     """Table of the surfaces around each pixel, from that of the pixels and of a frame around them."""
     plain, stride = arrays.plain, arrays.constant(width + 2)
     index = dr.arange(plain.UInt, height * width)
@@ -103,9 +106,9 @@ class Reprojected:
 
     arrays: Arrays
     box: Box
-    records: Any
+    records: Float
 
-    def at(self, pixels: Any, width: int) -> list[Any]:
+    def at(self, pixels: UInt, width: int) -> list[Float]:
         """Sixteen Floats (D,), records of pixels (D,) of a frame of that width; 0 outside the rectangle."""
         arrays = self.arrays
         numbers = [*(side.start for side in self.box), *shape_of(self.box)]
@@ -134,7 +137,7 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
     return Reprojected(views.arrays, box, records)
 
 
-def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[Any, Any]:
+def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[UInt, UInt]:
     """Where M samples of earlier views are visible among the P pixels of the surfaces' rectangle.
 
     UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on a
@@ -143,13 +146,13 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     arrays, plain = views.arrays, views.arrays.plain
     height, width = shape_of(surfaces.box)
     place = views.places(dr.arange(plain.UInt, views.samples))
-    place = replace(place, position=views.moment.placed(arrays, place.position, place.mover))
-    sight = _relative(arrays, place.position, _eye(arrays, camera))
+    position = views.moment.placed(arrays, place.position, place.mover)
+    sight = _relative(arrays, position, _eye(arrays, camera))
     across, down, inside = _quarters(arrays, sight, camera, surfaces.box)
     pixel = (down >> 1) * arrays.constant(width) + (across >> 1)
     distance = dr.sqrt(plain.Float(_product(sight, sight)))
     # Whatever was visible from this very position still is.
-    certain, unchanged = _compared(views, place, sight, camera)
+    certain, unchanged = _compared(views, place, position, sight, camera)
     holds = inside & (certain | (surfaces.contain(pixel, distance, place.gloss, inside) & unchanged))
     # Quarters of pixels: four times the pixel's index, plus 0 to 3; 4 P for those that are nowhere.
     quarter = pixel << 2 | (down & 1) << 1 | across & 1
@@ -161,7 +164,7 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     front = dr.full(plain.UInt, _FARTHEST, 4 * height * width + 1)
     dr.scatter_reduce(dr.ReduceOp.Min, front, bits, quarter)
     dr.eval(front)
-    as_float = lambda bits: dr.reinterpret_array(plain.Float, bits)  # noqa: E731
+    as_float = lambda bits: plain.Float(dr.reinterpret_array(plain.Float, bits))  # noqa: E731
     # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
     nearest = as_float(dr.gather(plain.UInt, front, quarter))
     seen = certain | (as_float(bits) <= nearest * (1 + SAME_SURFACE))
@@ -174,40 +177,43 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     return pixel, count
 
 
-def _summed(views: EarlierViews, pixel: Any, count: Any, pixels: int) -> Any:
+def _summed(views: EarlierViews, pixel: UInt, count: UInt, pixels: int) -> Float:
     """Flat Float of the records of all pixels, from what `_arrivals` found."""
-    arrays, UInt, Float = views.arrays, views.arrays.plain.UInt, views.arrays.plain.Float
+    arrays, plain = views.arrays, views.arrays.plain
     order = arrays.argsort(pixel, pixels + 1)
-    target = dr.arange(UInt, pixels)
-    start, count = (dr.gather(UInt, table, target) for table in (dr.prefix_sum(count), count))
+    target = dr.arange(plain.UInt, pixels)
+    start, count = (dr.gather(plain.UInt, table, target) for table in (dr.prefix_sum(count), count))
     end = start + count
 
-    def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
-        more = views.records(dr.gather(UInt, order, i))
+    def add(i: UInt, sums: list[Float]) -> tuple[UInt, list[Float]]:
+        more = views.records(dr.gather(plain.UInt, order, i))
         return i + 1, [one + other for one, other in zip(sums, more, strict=True)]
 
-    # Built one by one: [Float(0)] * n would be a single accumulator n times.
-    nothing = [Float(0) for _ in range(RECORD)]
-    _, sums = dr.while_loop((start, nothing), lambda i, sums: i < end, add, mode="symbolic")
+    def remains(i: UInt, sums: list[Float]) -> Bool:
+        return i < end
+
+    # Built one by one: [plain.Float(0)] * n would be a single accumulator n times.
+    nothing = [plain.Float(0) for _ in range(RECORD)]
+    _, sums = dr.while_loop((start, nothing), remains, add, mode="symbolic")
     # Evaluated before they are scattered: otherwise the scatter runs the loop again.
     dr.eval(sums)
-    table = dr.empty(Float, RECORD * pixels)
+    table = dr.empty(plain.Float, RECORD * pixels)
     arrays.put_packet(table, sums, target)
     dr.eval(table)
     return table
 
 
-def _eye(arrays: Arrays, camera: Camera) -> list[Any]:
+def _eye(arrays: Arrays, camera: Camera) -> list[Float64]:
     """Three Float64 of width 1, the camera's position."""
     return [dr.opaque(arrays.plain.Float64, side) for side in camera.position.tolist()]
 
 
-def _relative(arrays: Arrays, position: list[Any], origin: list[Any]) -> list[Any]:
+def _relative(arrays: Arrays, position: list[Float] | list[Float64], origin: list[Float64]) -> list[Float64]:
     """Three Float64 (M,): vectors to positions from origins, of width 1 or (M,)."""
     return [arrays.plain.Float64(at) - start for at, start in zip(position, origin, strict=True)]
 
 
-def _quarters(arrays: Arrays, sight: list[Any], camera: Camera, box: Box) -> tuple[Any, Any, Any]:
+def _quarters(arrays: Arrays, sight: list[Float64], camera: Camera, box: Box) -> tuple[UInt, UInt, Bool]:
     """Column and row among the quarters of a rectangle's pixels, and whether it holds the sample.
 
     Lines of sight are three Float64 (M,), from the camera to the samples, in the world.
@@ -229,16 +235,22 @@ def _quarters(arrays: Arrays, sight: list[Any], camera: Camera, box: Box) -> tup
     return across, down, inside
 
 
-def _compared(views: EarlierViews, place: SamplePlaces, sight: list[Any], camera: Camera) -> tuple[Any, Any]:
+def _compared(
+    views: EarlierViews,
+    place: SamplePlaces,
+    position: list[Float] | list[Float64],
+    sight: list[Float64],
+    camera: Camera,
+) -> tuple[Bool, Bool]:
     """Whether samples come from this very viewpoint, and whether their surface looks the same from here.
 
-    Places and lines of sight of M samples are those of now.
+    Positions and lines of sight of M samples are those of now.
     """
     plain, now = views.arrays.plain, views.of_now()
     same = (np.abs(views.viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1) & now
     table = uploaded(plain.Float64, np.column_stack([views.viewpoints, same + _NOW * now]))
     *origin, kind = views.arrays.packet(table, 4, place.view)
-    before = _relative(views.arrays, place.position, origin)
+    before = _relative(views.arrays, position, origin)
     # Compared by their squares, which takes no root; both cosines are positive.
     product = _product(before, sight)
     least = dr.select(place.gloss == GLOSSY, plain.Float64(_GLOSSY_COSINE**2), _SPECULAR_COSINE**2)
@@ -250,6 +262,6 @@ def _compared(views: EarlierViews, place: SamplePlaces, sight: list[Any], camera
     return kind > _NOW, lasting
 
 
-def _product(one: list[Any], other: list[Any]) -> Any:
+def _product(one: list[Float64], other: list[Float64]) -> Float64:
     """Scalar product of two vectors."""
-    return sum(a * b for a, b in zip(one, other, strict=True))
+    return dr.sum([a * b for a, b in zip(one, other, strict=True)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.eye.detail import CELL
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Int, UInt
 
 # Pixels around a cell, in which denoising and fusion see its surroundings. Sides of tiles stay even, since
 # the fusion judges blocks of 2 x 2 pixels.
@@ -44,7 +47,7 @@ class Tiling:
         return -(-len(self.cells) // self._columns) * _SIDE, self._columns * _SIDE
 
     @cached_property
-    def pixels(self) -> tuple[Any, Any]:
+    def pixels(self) -> tuple[UInt, UInt]:
         """Rows and columns, UInt (h * w,), of the frame's pixels that those of the image show.
 
         Tiles that are left over show the last cell again, borders beyond the frame its outermost pixels.
@@ -63,7 +66,7 @@ class Tiling:
         dr.eval(found)
         return found[0], found[1]
 
-    def index(self, row: Any, column: Any) -> tuple[Any, Any]:
+    def index(self, row: UInt, column: UInt) -> tuple[UInt, Bool]:
         """Which pixel of the image, UInt, shows a pixel of the frame in its tile; and whether one does."""
         plain = self.arrays.plain
         tile = dr.gather(plain.Int, self._tiles, row // CELL * self._across + column // CELL)
@@ -73,11 +76,11 @@ class Tiling:
         return down * self.arrays.constant(self.shape[1]) + across, known
 
     @cached_property
-    def _across(self) -> Any:
+    def _across(self) -> UInt:
         return self.arrays.constant(-(-self.width // CELL))
 
     @cached_property
-    def _tiles(self) -> Any:
+    def _tiles(self) -> Int:
         """Int (rows * columns,), the tile of each cell of the frame; -1 if it has none."""
         tiles = np.full(-(-self.height // CELL) * -(-self.width // CELL), -1, dtype=np.int32)
         tiles[self.cells] = np.arange(len(self.cells), dtype=np.int32)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import torch
 
 # (H, W, 3) linear radiance, rows from the top.
 Image = NDArray[np.float32]
@@ -18,6 +21,7 @@ SRGB_DARK, SRGB_DARK_VALUE, SRGB_SLOPE = 0.0031308, 0.04045, 12.92
 SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 1.055, 0.055, 2.4
 # Squared errors count as this at least: 120 dB.
 LEAST_ERROR = 1e-12
+_Numbers = TypeVar("_Numbers", float, NDArray[Any], "torch.Tensor")
 
 
 def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -25,12 +29,12 @@ def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return image @ np.array(LUMINANCE_WEIGHTS, dtype=np.float32)
 
 
-def srgb_power(linear: Any) -> Any:
+def srgb_power(linear: _Numbers) -> _Numbers:
     """The bent part of the sRGB curve, at numbers of any kind."""
     return SRGB_SCALE * linear ** (1 / SRGB_GAMMA) - SRGB_OFFSET
 
 
-def linear_power(srgb: Any) -> Any:
+def linear_power(srgb: _Numbers) -> _Numbers:
     """The inverse of `srgb_power`."""
     return ((srgb + SRGB_OFFSET) / SRGB_SCALE) ** SRGB_GAMMA
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, TensorXf, UInt
 
 # Rows and columns of a rectangle of an image.
 Box = tuple[slice, slice]
@@ -22,9 +25,9 @@ def shape_of(box: Box) -> tuple[int, int]:
     return rows.stop - rows.start, columns.stop - columns.start
 
 
-def srgb_curve(linear: Any) -> Any:
+def srgb_curve(linear: Float) -> Float:
     """Floats from 0 to 1 on the sRGB curve, as in compose.image.colour; NaN stays."""
-    curve = dr.fma(SRGB_SCALE, dr.power(linear, 1 / SRGB_GAMMA), -SRGB_OFFSET)
+    curve = dr.fma(SRGB_SCALE, linear ** (1 / SRGB_GAMMA), -SRGB_OFFSET)
     return dr.select(linear <= SRGB_DARK, SRGB_SLOPE * linear, curve)
 
 
@@ -40,7 +43,7 @@ class DeviceImage:
     """
 
     arrays: Arrays
-    values: Any
+    values: Float
     width: int
     height: int
     stride: int
@@ -48,9 +51,9 @@ class DeviceImage:
     first_row: int = 0
 
     @staticmethod
-    def filled(arrays: Arrays, width: int, height: int, channels: list[Any]) -> DeviceImage:
+    def filled(arrays: Arrays, width: int, height: int, channels: list[Float]) -> DeviceImage:
         """An image from three Floats (H * W,)."""
-        values = dr.ravel(arrays.plain.Array3f(*channels))
+        values = arrays.plain.Float(dr.ravel(arrays.plain.Array3f(*channels)))
         dr.eval(values)
         return DeviceImage(arrays, values, width, height, width)
 
@@ -65,32 +68,32 @@ class DeviceImage:
         """Whether all rows are in the buffer."""
         return not self.first_row and dr.width(self.values) >= self.height * self.stride * self.channels
 
-    def _place(self, row: Any, column: Any) -> tuple[Any, Any]:
+    def _place(self, row: UInt, column: UInt) -> tuple[UInt, Bool | bool]:
         """Where in the buffer pixels start, and whether they are in it."""
-        known: Any = True
+        known: Bool | bool = True
         if not self.is_whole:
             # What lies above wraps around to beyond the buffer.
             row = row - self.arrays.constant(self.first_row)
             known = row < self.arrays.constant(dr.width(self.values) // (self.stride * self.channels))
         return (row * self.arrays.constant(self.stride) + column) * self.channels, known
 
-    def at(self, row: Any, column: Any) -> list[Any]:
+    def at(self, row: UInt, column: UInt) -> list[Float]:
         """Three Floats (N,), the radiance of pixels."""
         index, known = self._place(row, column)
         return [dr.gather(self.arrays.plain.Float, self.values, index + c, known) for c in range(3)]
 
-    def of_pixels(self, pixels: Any) -> list[Any]:
+    def of_pixels(self, pixels: UInt) -> list[Float]:
         """Three Floats (N,), the radiance of pixels by their row-major indices UInt (N,)."""
         return self.at(*self.arrays.rows_columns(pixels, self.width))
 
-    def of_box(self, box: Box) -> list[Any]:
+    def of_box(self, box: Box) -> list[Float]:
         """Three Floats (h * w,), the radiance of a rectangle."""
         height, width = shape_of(box)
         row, column = self.arrays.rows_columns(dr.arange(self.arrays.plain.UInt, height * width), width)
         top, left = self.arrays.scalars(self.arrays.plain.UInt, [side.start for side in box])
         return self.at(row + top, column + left)
 
-    def changed(self, pixels: Any, channels: list[Any]) -> DeviceImage:
+    def changed(self, pixels: UInt, channels: list[Float]) -> DeviceImage:
         """The image, in its own memory if it is whole, with other radiance in some pixels.
 
         Those are given by their row-major indices UInt (N,), each once, their radiance as three Floats (N,).
@@ -102,7 +105,7 @@ class DeviceImage:
         dr.eval(image.values)
         return image
 
-    def flat(self) -> Any:
+    def flat(self) -> Float:
         """Float (H * W * 3,), the image row by row, not evaluated."""
         if self.is_packed:
             return self.values
@@ -117,7 +120,7 @@ class DeviceImage:
         dr.eval(values)
         return DeviceImage(self.arrays, values, self.width, self.height, self.width)
 
-    def tensor(self) -> Any:
+    def tensor(self) -> TensorXf:
         """(H, W, 3) tensor of Dr.Jit, which NumPy and torch read through DLPack."""
         image = self if self.is_packed else self.packed()
         return self.arrays.plain.TensorXf(image.values, (self.height, self.width, 3))

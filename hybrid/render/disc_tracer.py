@@ -197,7 +197,7 @@ class DiscTracer:
     ) -> Samples:
         """New samples, `spp` per pixel on average, more of them where there are fewer, Float (D,), so far."""
         even = dr.full(type(have), 1, known.size)
-        counts = allotted(even, have, spp * known.size, request.seed)
+        counts = allotted(self._arrays, even, have, spp * known.size, request.seed)
         return self._added(request.camera, _without_light(known), counts, request.seed, sequence)
 
     def _sequence(self, camera: Camera, pixels: Any, seed: int) -> _Sequence:
@@ -278,7 +278,7 @@ def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Un
     worth = dr.gather(type(differs), differs, disc.inside)
     left = (request.spp - _first_spp(request.spp)) * disc.count
     # The second samples must not repeat the random numbers of the first ones.
-    return allotted(worth, have, left, request.seed + _SECOND_STREAM)
+    return allotted(disc.arrays, worth, have, left, request.seed + _SECOND_STREAM)
 
 
 def _chosen(arrays: Arrays, counts: int | Counts, size: int) -> tuple[Any, int | Counts]:

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from compose.base.collector import collector_paused
-from compose.base.frozen import Frozen, Passed, rebuilt
+from compose.base.frozen import Frozen, Passed
 from pathtrace.scene.instances import InstancedScene, array_indices, of_mitsuba
 
 # Array types by whose entries one gets at all objects that Mitsuba has registered.
@@ -35,13 +35,12 @@ class FrozenWithScenes(Frozen):
             scenes = mi.Scene, InstancedScene
             given = tuple(self._known(each) if type(each) in scenes else each for each in arguments)
             try:
-                result = self.replayed(given)
+                return self.replayed(given)
             except RuntimeError:
                 # Another recording, where scenes came into memory since the arrays were looked for.
                 if not sum(each.renewed() for each in given if type(each) is _Scene):
                     raise
-                result = self.replayed(given)
-        return rebuilt(result)
+                return self.replayed(given)
 
     def _known(self, scene: Any) -> _Scene:
         """A scene with its arrays as they are now."""
