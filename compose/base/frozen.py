@@ -1,16 +1,20 @@
-"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector."""
+"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector.
+
+To free a Mitsuba scene while Dr.Jit records aborts the process, so the collector is paused then.
+"""
 
 from __future__ import annotations
 
+import gc
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
+from threading import Lock
 from typing import Any, Generic, TypeVar, cast
 
 import drjit as dr
-
-from compose.base.collector import collector_paused
 
 # Recordings of a function that are kept, and from how many made Dr.Jit would take them for a mistake.
 _KEPT, _MANY = 64, 1 << 30
@@ -19,6 +23,10 @@ _PLAIN = {bool, int, float, str}
 # Sizes per octave that arrays are rounded up to, and the least one.
 _PER_OCTAVE, _LEAST = 4, 1024
 _Result = TypeVar("_Result")
+_lock = Lock()
+# Pauses under way, in all threads, and whether the collector ran before the first of them.
+_pauses = 0
+_was_enabled = False
 
 
 def capacity(count: int) -> int:
@@ -29,6 +37,24 @@ def capacity(count: int) -> int:
     if count <= _LEAST:
         return _LEAST
     return 16 * math.ceil(2 ** (math.ceil(_PER_OCTAVE * math.log2(count)) / _PER_OCTAVE) / 16)
+
+
+@contextmanager
+def collector_paused() -> Iterator[None]:
+    """No automatic collection inside, in any thread; pauses may overlap and lie inside each other."""
+    global _pauses, _was_enabled
+    with _lock:
+        if not _pauses:
+            _was_enabled = gc.isenabled()
+            gc.disable()
+        _pauses += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _pauses -= 1
+            if not _pauses and _was_enabled:
+                gc.enable()
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.base.traced_samples import Counts
+from compose.fovea.cells import Tiling
 from compose.fovea.foveation import FoveaRegion
-from compose.fovea.tiling import Tiling
 from compose.image.device_image import Box, DeviceImage, shape_of
 
 if TYPE_CHECKING:

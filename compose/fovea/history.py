@@ -17,8 +17,7 @@ from compose.base.arrays import Arrays, compressed, uploaded
 from compose.base.traced_samples import STILL, Moment
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
-from compose.fovea.earlier_views import EarlierView, EarlierViews
-from compose.fovea.reprojection import Reprojected, reproject
+from compose.fovea.reprojection import EarlierView, EarlierViews, Reprojected, reproject
 from compose.fovea.samples import (
     ALBEDO,
     COUNT,

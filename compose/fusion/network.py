@@ -1,8 +1,8 @@
 """The fitted part of the fusion: a small convolutional network, its estimate, and how much of it is shown.
 
 The network alone may be worse than the better parent where it has seen too few views or too noisy ones. What
-it is worth has therefore been tried on views that it had not seen (compose.fusion.proof), in cells of sample
-count, enlargement and denoiser.
+it is worth has therefore been tried on views that it had not seen (compose.fusion.fitting), in cells of
+sample count, enlargement and denoiser.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Fused:
     """One estimate of radiance (H, W, 3), of torch on the parents' device, and their weights (H, W, 3).
 
     In `excluded` pixels a parent was left out because it was negative, not finite, or out of proportion to
-    its neighbours and to the other parents (compose.image.outliers).
+    its neighbours and to the other parents (compose.image.colour).
     """
 
     radiance: Tensor

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -10,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
-from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
+from compose.image.colour import MOST, SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, TensorXf, UInt
@@ -29,6 +32,12 @@ def srgb_curve(linear: Float) -> Float:
     """Floats from 0 to 1 on the sRGB curve, as in compose.image.colour; NaN stays."""
     curve = dr.fma(SRGB_SCALE, linear ** (1 / SRGB_GAMMA), -SRGB_OFFSET)
     return dr.select(linear <= SRGB_DARK, SRGB_SLOPE * linear, curve)
+
+
+def all_plain(channels: Sequence[Float]) -> bool:
+    """Whether Dr.Jit floats, which this waits for, are finite, not negative and at most MOST, as usual."""
+    wrong = [~((values >= 0) & (values <= MOST)) for values in channels]
+    return not bool(dr.any(reduce(or_, wrong)))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from hybrid.evaluation.comparison import compare
 from hybrid.evaluation.quickstart_page import write_page
 from hybrid.measure.image_metrics import quality, registration_px
 from hybrid.measure.reference import REFERENCE_SEED
-from hybrid.preparation.held_out import held_out_quality
+from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.preparation import make_quick_forest
 from hybrid.render.false_colours import weights_picture
 from hybrid.render.frame import Frame

@@ -15,10 +15,9 @@ import torch
 from compose.base.errors import UserError, one_line
 from hybrid.base.compute_device import device_arrays
 from hybrid.base.progress import Steps, interrupts_between_steps, no_progress
-from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, HALF, LAYERS, Value
-from hybrid.preparation.error_learning import with_errors
+from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, GAUSSIANS, HALF, LAYERS, Value
+from hybrid.preparation.forest_errors import with_errors
 from hybrid.preparation.fusion_training import fusion_steps, with_fusion
-from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.training_views import Frames, labelled_views, motion_for, pieces_of
 from hybrid.render.forest_attachments import attach_plan, attach_views
 from pathtrace.dataset.frame_set import FrameSet

@@ -12,10 +12,18 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, Example, FusionReference, fit
+from compose.fusion.fitting import (
+    ITERATIONS,
+    LEAST_SIZE,
+    TRIAL_ITERATIONS,
+    Example,
+    FusionReference,
+    fit,
+    prove,
+    trials,
+)
 from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED
 from compose.fusion.parents import Parents
-from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
 from compose.image.colour import Image
 from hybrid.base.compute_device import device_arrays
 from hybrid.preparation.training_views import Frames

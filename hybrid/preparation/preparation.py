@@ -18,12 +18,10 @@ from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
 from hybrid.base.identity import require_scene, short_hash
 from hybrid.base.journal import Journal
 from hybrid.base.progress import Bars, no_bars
-from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES
-from hybrid.preparation.error_learning import with_errors
+from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES, breadth_of, planned_needs
+from hybrid.preparation.forest_errors import Judges, with_errors
 from hybrid.preparation.forest_training import planned_settings, train
 from hybrid.preparation.fusion_training import with_fusion
-from hybrid.preparation.gaussian_count import breadth_of, planned_needs
-from hybrid.preparation.held_out import Judges
 from hybrid.preparation.lighting import light_over_time
 from hybrid.preparation.scene_plan import as_planned, require_plan
 from hybrid.preparation.stage_frames import (

@@ -1,19 +1,25 @@
 """What a scene requires: the plan that follows from a look at it for a few seconds.
 
-It is stored in the cache folder, is a part of frame sets and forests, and a user may decide items instead.
+It is stored in the cache folder, is a part of frame sets and forests, and a user may decide items instead. A
+picture shows what it follows from.
 """
 
 from __future__ import annotations
 
+import io
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from compose.base.errors import UserError
 from compose.base.files import json_text, read_json, write_whole
+from compose.base.traced_samples import DIFFUSE
 from compose.eye.display import DISPLAYS, Display
+from compose.image.colour import Image, srgb_from_radiance
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.progress import Bar, Bars, no_bars, no_progress
 from hybrid.preparation.decisions import (
@@ -21,6 +27,7 @@ from hybrid.preparation.decisions import (
     DENOISED,
     DENOISING,
     FRAME_PRECISION,
+    GAUSSIANS,
     HALF,
     LAYERS,
     RAW,
@@ -28,20 +35,24 @@ from hybrid.preparation.decisions import (
     SINGLE,
     Decision,
     Value,
+    breadth_of,
     degree_decision,
     frame_precision_decision,
+    gaussians_decision,
     layers_decision,
     path_decisions,
     region_decision,
     sample_decisions,
 )
-from hybrid.preparation.gaussian_count import GAUSSIANS, breadth_of, gaussians_decision
 from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region.viewing_regions import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import DEPTH, ROULETTE, Scene, load_scene
 from splat.model.gaussians import MAX_DEGREE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LOG = logging.getLogger("hybrid")
 MOTION, LIGHT = "motion", "light"
@@ -311,3 +322,67 @@ def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:
             one = replace(one, value=values[one.name], evidence=evidence, gain=1.0)
         decisions.append(one)
     return replace(plan, decisions=tuple(decisions))
+
+
+_TURNING = (0.9, 0.2, 0.1)
+_SHARE = 0.7
+
+
+def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
+    """Writes a PNG: what the scene looks like, where its radiance turns, what Gaussians bring, its depths.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    # Not pyplot, which opens windows and has global state.
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    grid = figure.add_gridspec(2, 3)
+    shown, turning, numbers = (figure.add_subplot(grid[0, column]) for column in range(3))
+    depths, decisions = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1:])
+    frame = srgb_from_radiance(look.denoised[0])
+    _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
+    view = srgb_from_radiance(look.radiance[0])
+    turns = ((look.gloss[0] != DIFFUSE) | look.reflected[0])[..., None]
+    marked = np.where(turns, (1 - _SHARE) * view + _SHARE * np.array(_TURNING), view)
+    _image(turning, marked, "radiance turns with the view (red)")
+    _plot_gaussians(numbers, plan)
+    _plot_depths(depths, plan)
+    rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
+    decisions.axis("off")
+    table = decisions.table(rows, colLabels=("", "planned", "else"), loc="center", cellLoc="left")
+    table.scale(1.3, 1.4)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    write_whole(path, lambda part: part.write_bytes(buffer.getvalue()))
+
+
+def _image(axes: Axes, image: Image, title: str) -> None:
+    axes.imshow(np.clip(image, 0, 1), interpolation="nearest")
+    axes.set_title(title, fontsize=9)
+    axes.axis("off")
+
+
+def _plot_gaussians(axes: Axes, plan: ScenePlan) -> None:
+    """What numbers of Gaussians leave, each in one colour, and the number that is planned."""
+    decision = plan.decision(GAUSSIANS)
+    curve = decision.evidence["error_db"]
+    axes.semilogx([int(count) for count in curve], list(curve.values()), "o-", color="#36c")
+    axes.axvline(float(decision.value), color="#c33")
+    axes.set_xlabel("Gaussians", fontsize=8)
+    axes.set_title("dB of as many plain ones; planned (red)", fontsize=9)
+
+
+def _plot_depths(axes: Axes, plan: ScenePlan) -> None:
+    """Share of the radiance by the segments of paths, and where they are cut, if that was measured."""
+    evidence = plan.decision(DEPTH).evidence
+    if "needed" not in evidence:
+        axes.axis("off")
+        return
+    depth, shares = evidence["needed"], evidence["share_by_depth"]
+    axes.bar(range(1, len(shares) + 1), np.maximum(shares, 1e-6), color="#36c")
+    axes.axvline(depth + 0.5, color="#c33")
+    axes.set_yscale("log")
+    axes.set_xlabel("segments", fontsize=8)
+    axes.set_title(f"share of radiance; {evidence['beyond']:.2%} lies beyond {depth}", fontsize=9)

@@ -12,8 +12,7 @@ import numpy as np
 from compose.camera.camera import Camera
 from compose.image.colour import decibels, srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
-from hybrid.preparation.gaussian_count import GAUSSIANS
+from hybrid.preparation.decisions import CONVERGED_DB, GAUSSIANS, SAMPLES
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted

@@ -14,9 +14,8 @@ from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
 from compose.fovea.samples import Samples
 from compose.fusion.parents import Parents
-from compose.image.colour import Image
-from compose.image.device_image import DeviceImage
-from compose.image.outliers import MOST, all_plain, filled, outliers
+from compose.image.colour import MOST, Image, filled, outliers
+from compose.image.device_image import DeviceImage, all_plain
 from hybrid.base.compute_device import device_arrays
 from pathtrace.trace.denoise import denoise, denoise_coarsely
 

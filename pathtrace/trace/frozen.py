@@ -8,8 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from compose.base.collector import collector_paused
-from compose.base.frozen import Frozen, Passed
+from compose.base.frozen import Frozen, Passed, collector_paused
 from pathtrace.scene.instances import InstancedScene, array_indices, of_mitsuba
 
 # Array types by whose entries one gets at all objects that Mitsuba has registered.

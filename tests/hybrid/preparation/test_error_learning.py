@@ -9,7 +9,7 @@ import pytest
 
 from compose.image.colour import srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation.error_learning import with_errors
+from hybrid.preparation.forest_errors import with_errors
 from hybrid.preparation.training_views import read_frames
 from hybrid.render.expected_errors import ExpectedErrors
 from pathtrace.dataset.captured_frames import read_frame

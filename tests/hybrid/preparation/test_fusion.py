@@ -10,9 +10,8 @@ import pytest
 import torch
 
 from compose.fusion import fitting, proof
-from compose.fusion.fitting import Example
+from compose.fusion.fitting import Example, Proof
 from compose.fusion.network import Fusion
-from compose.fusion.proof import Proof
 from hybrid.preparation import fusion_training as module
 from hybrid.preparation.fusion_training import fusion_steps, fusion_verdicts, with_fusion
 from hybrid.render.forest_attachments import attach_fusion, fusion_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybrid.preparation.held_out import held_out_quality
+from hybrid.preparation.forest_errors import held_out_quality
 from pathtrace.dataset.captured_frames import read_frame
 from splat.lod.forest_renderer import ForestRenderer
 

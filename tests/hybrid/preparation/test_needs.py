@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.preparation.decisions import REGION
-from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS, planned_needs
+from hybrid.preparation.decisions import FIXED_GAUSSIANS, GAUSSIANS, REGION, planned_needs
 from hybrid.preparation.stages import Needs
 
 

@@ -17,11 +17,11 @@ from hybrid.preparation.decisions import (
     Decision,
     degree_decision,
     frame_precision_decision,
+    gaussians_decision,
     layers_decision,
     path_decisions,
     sample_decisions,
 )
-from hybrid.preparation.gaussian_count import gaussians_decision
 from hybrid.preparation.scene_look import Look, look_at_scene, traced_halves
 from hybrid.preparation.scene_plan import plan_of
 from pathtrace.region.viewing_regions import region_of
