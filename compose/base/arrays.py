@@ -50,10 +50,9 @@ class Arrays:
         return torch.device("cuda" if self.backend == "cuda" and torch.cuda.is_available() else "cpu")
 
     def constant(self, value: int) -> UInt:
-        """UInt of width 1 that kernels read from memory: the same kernel serves every value.
+        """UInt of width 1, cached, that kernels read from memory: a literal would be compiled into them.
 
-        A literal would be compiled into the kernel. Use this for everything that depends on the size of a
-        frame, the gaze or the camera. Values that come back are cached.
+        For everything that depends on the size of a frame, the gaze or the camera.
         """
         return constant(self.plain.UInt, value)
 
@@ -68,9 +67,8 @@ class Arrays:
     def argsort(self, key: UInt, bound: int) -> UInt:
         """Indices that sort keys, UInt (N,) less than `bound`, stably: equal keys keep their order.
 
-        This is a radix sort; `dr.argsort` sorts by all 32 bits. On the CPU it takes one pass for bounds up to
-        2^14, or up to a quarter of the keys' number, and two for bounds up to 2^22; on a card a pass for each
-        8 bits.
+        A radix sort: on the CPU one pass for bounds up to 2^14, or a quarter of the keys' number, and two up
+        to 2^22; on a card a pass for each 8 bits. `dr.argsort` sorts by all 32 bits.
         """
         count = dr.width(key)
         if not count or bound <= 1:

@@ -1,7 +1,4 @@
-"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector.
-
-To free a Mitsuba scene while Dr.Jit records aborts the process, so the collector is paused then.
-"""
+"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector."""
 
 from __future__ import annotations
 
@@ -81,14 +78,14 @@ class Passed:
 
 
 class Frozen(Generic[_Result]):
-    """`dr.freeze` without two ways in which it stops or aborts the process, and one to be wrong (Dr.Jit 1.5).
+    """`dr.freeze` without three faults of Dr.Jit 1.5.
 
-    Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
-    in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
-    one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
-    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile. Of a number or
-    string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was replayed for
-    (True, False, False). So there is a hash of them all.
+    - Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python
+      code, in which another thread may get its turn; if that one frees an array, both wait for ever. So
+      dataclasses pass as plain tuples.
+    - A garbage collection that frees a Mitsuba scene during a recording aborts the process: it is paused.
+    - Of a number or string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was
+      replayed for (True, False, False). So there is a hash of them all.
 
     What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
     it writes to must be made inside it: others are copied.

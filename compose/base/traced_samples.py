@@ -35,7 +35,7 @@ class Counts:
 
     @staticmethod
     def of(each: dr.ArrayBase, most: int) -> Counts:
-        """The numbers (D,) of pixels; waits for their sum."""
+        """Waits for the sum."""
         return Counts(each, int(dr.sum(each)[0]), most)
 
 
@@ -51,7 +51,7 @@ class Moment:
     poses: NDArray[np.float64]
 
     def at_rest(self, arrays: Arrays, position: list[Float], mover: Float) -> list[Float]:
-        """Where points, three Floats (D,), of movers Float (D,) are at rest; others stay."""
+        """Where points, three Floats (D,), of movers (D,) are at rest; others stay."""
         if len(self.poses) == 1:
             return position
         plain = arrays.plain

@@ -41,26 +41,23 @@ class SeenSurfaces:
         if not cameras or depths.ndim != 3 or len(depths) != len(cameras) or not depths.size:
             raise ValueError(f"depth maps of shape {depths.shape} for {len(cameras)} views")
         self._arrays, self._views_given = arrays, len(cameras)
-        self._count, self._rows, self._columns = (arrays.constant(side) for side in depths.shape)
+        views, rows, columns = depths.shape
+        self._sizes = arrays.constant(views), arrays.constant(rows), arrays.constant(columns)
         self._depths = uploaded(arrays.plain.Float, depths.astype(np.float32))
-        self._views = uploaded(
-            arrays.plain.Float, np.stack([_floats(camera, *depths.shape[1:]) for camera in cameras])
-        )
-        dr.eval(self._count, self._rows, self._columns, self._depths, self._views)
+        floats = np.stack([_floats(camera, rows, columns) for camera in cameras])
+        self._views = uploaded(arrays.plain.Float, floats)
+        dr.eval(self._sizes, self._depths, self._views)
 
     def finest(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(N,) size in the world of the third-finest pixel that shows each point (N, 3).
 
         With fewer than three views it is that of the coarsest; inf where too few views show the point.
         """
-        x, y, z = (uploaded(self._arrays.plain.Float, points[:, k].astype(np.float32)) for k in range(3))
-        # Arguments of the loop's function: it changes none of them.
-        found = _finest(
-            self._arrays.plain, (x, y, z), self._views, self._depths, self._count, (self._rows, self._columns)
-        )
+        plain = self._arrays.plain
+        point = [uploaded(plain.Float, points[:, k].astype(np.float32)) for k in range(3)]
+        found = _finest(plain, point, self._views, self._depths, self._sizes)
         dr.eval(found)
-        values: NDArray[np.float32] = found[min(_VIEWS, self._views_given) - 1].numpy()
-        return values
+        return found[min(_VIEWS, self._views_given) - 1].numpy()
 
 
 def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
@@ -71,16 +68,11 @@ def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
 
 @dr.syntax
 def _finest(
-    plain: ModuleType,
-    point: tuple[Float, ...],
-    views: Float,
-    depths: Float,
-    count: UInt,
-    shape: tuple[UInt, UInt],
-) -> tuple[Float, ...]:
-    """Sizes of the three finest pixels that show a point, three (N,) Floats; inf where there are fewer."""
+    plain: ModuleType, point: list[Float], views: Float, depths: Float, sizes: tuple[UInt, UInt, UInt]
+) -> list[Float]:
+    """Sizes of the three finest pixels that show points, three (N,) Floats; inf where there are fewer."""
     x, y, z = point
-    rows, columns = shape
+    count, rows, columns = sizes
     best, second, third = (dr.full(plain.Float, dr.inf, dr.width(x)) for _ in range(_VIEWS))
     view = dr.zeros(plain.UInt, dr.width(x))
     while dr.hint(view < count, exclude=[x, y, z, views, depths, count, rows, columns]):
@@ -106,4 +98,4 @@ def _finest(
         second = dr.minimum(second, dr.maximum(best, size))
         best = dr.minimum(best, size)
         view += 1
-    return best, second, third
+    return [best, second, third]

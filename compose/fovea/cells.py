@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from compose.base.arrays import Arrays, uploaded
 from compose.eye.detail import CELL
@@ -50,16 +51,11 @@ def chosen(worth: NDArray[np.floating], count: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class CellRegion:
-    """Cells of CELL x CELL pixels that are path-traced, in the place of a disc.
+    """Cells of CELL x CELL pixels that are path-traced, in the place of a disc."""
 
-    Attributes:
-        width, height: frame in pixels.
-        weights: (rows, columns) of the path-traced radiance in the cells, 0..1.
-    """
-
-    width: int
+    width: int  # of the frame, in pixels
     height: int
-    weights: NDArray[np.float32]
+    weights: NDArray[np.float32]  # (rows, columns) of the path-traced radiance in the cells, 0..1
 
     @cached_property
     def cells(self) -> NDArray[np.int64]:
@@ -70,9 +66,7 @@ class CellRegion:
     def count(self) -> int:
         """D, the number of their pixels."""
         row, column = np.divmod(self.cells, self.weights.shape[1])
-        tall, wide = (
-            np.minimum(CELL, side - CELL * at) for side, at in ((self.height, row), (self.width, column))
-        )
+        tall, wide = np.minimum(CELL, self.height - CELL * row), np.minimum(CELL, self.width - CELL * column)
         return int((tall * wide).sum())
 
     def disc(self, arrays: Arrays) -> Disc:
@@ -83,15 +77,14 @@ class CellRegion:
         if not self.count:
             return Disc(arrays, *frame, dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0), None)
         row, column = np.divmod(self.cells, self.weights.shape[1])
-        box = tuple(
+        down, across = (
             slice(int(at.min()) * CELL, min((int(at.max()) + 1) * CELL, end))
             for at, end in ((row, self.height), (column, self.width))
         )
         pixels, weights = self._listed(arrays)
         dr.schedule(pixels, weights)
-        return Disc(
-            arrays, *frame, pixels, weights, (box[0], box[1]), tiling=Tiling(arrays, *frame, self.cells)
-        )
+        tiling = Tiling(arrays, *frame, self.cells)
+        return Disc(arrays, *frame, pixels, weights, (down, across), tiling=tiling)
 
     def _listed(self, arrays: Arrays) -> tuple[UInt, Float]:
         """Row-major indices UInt (D,) of the pixels, cell by cell, and their weights."""
@@ -133,9 +126,7 @@ class CellRegion:
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: cells that are traced and all that their borders reach; `tile` is CELL."""
         assert tile == CELL, "cells are tiles"
-        padded = np.pad(self.weights > 0, 1)
-        down = padded[2:] | padded[1:-1] | padded[:-2]
-        return np.asarray(down[:, 2:] | down[:, 1:-1] | down[:, :-2])
+        return np.asarray(binary_dilation(self.weights > 0, np.ones((3, 3))))
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: cells with a pixel in which splats are visible; `tile` is CELL."""
@@ -161,17 +152,12 @@ def _interpolated(plain: ModuleType, lattices: Float, first: UInt, down: Float, 
 
 @dataclass(frozen=True)
 class Tiling:
-    """K cells of CELL x CELL pixels of a frame as tiles of one image.
-
-    Attributes:
-        width, height: frame in pixels.
-        cells: (K,) row-major numbers of the cells, at least one.
-    """
+    """Cells of CELL x CELL pixels of a frame, wherever they lie, as tiles side by side in one image."""
 
     arrays: Arrays
-    width: int
+    width: int  # of the frame, in pixels
     height: int
-    cells: NDArray[np.int64]
+    cells: NDArray[np.int64]  # (K,) row-major numbers of the cells, at least one
 
     @property
     def _columns(self) -> int:
@@ -204,16 +190,12 @@ class Tiling:
 
     def index(self, row: UInt, column: UInt) -> tuple[UInt, Bool]:
         """Which pixel of the image, UInt, shows a pixel of the frame in its tile; and whether one does."""
-        plain = self.arrays.plain
-        tile = dr.gather(plain.Int, self._tiles, row // CELL * self._across + column // CELL)
+        plain, across = self.arrays.plain, self.arrays.constant(-(-self.width // CELL))
+        tile = dr.gather(plain.Int, self._tiles, row // CELL * across + column // CELL)
         known, tile = tile >= 0, plain.UInt(dr.maximum(tile, 0))
-        down, across = self.arrays.rows_columns(tile, self._columns)
-        down, across = (at * _SIDE + BORDER + of % CELL for at, of in ((down, row), (across, column)))
-        return down * self.arrays.constant(self.shape[1]) + across, known
-
-    @cached_property
-    def _across(self) -> UInt:
-        return self.arrays.constant(-(-self.width // CELL))
+        down, right = self.arrays.rows_columns(tile, self._columns)
+        down, right = (at * _SIDE + BORDER + of % CELL for at, of in ((down, row), (right, column)))
+        return down * self.arrays.constant(self.shape[1]) + right, known
 
     @cached_property
     def _tiles(self) -> Int:

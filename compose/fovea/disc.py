@@ -31,25 +31,16 @@ _ACROSS, _DOWN = 3242174889, 2447445414
 
 @dataclass(frozen=True)
 class Disc:
-    """D pixels of a frame with their weights in the blend.
-
-    Attributes:
-        width, height: frame in pixels.
-        pixels: UInt (D,), row-major indices, each once.
-        weights: Float (D,), weight of the path-traced radiance in each of them, 0..1; it is 0 in all others.
-        box: the rectangle around the pixels; None if there are none, or no image is made of them.
-        covers_frame: whether the pixels are all of the frame and all weights are 1.
-        tiling: how the image is made of pixels scattered over the frame; None if it is the rectangle.
-    """
+    """D pixels of a frame with their weights in the blend."""
 
     arrays: Arrays
-    width: int
+    width: int  # of the frame, in pixels
     height: int
-    pixels: UInt
-    weights: Float
-    box: Box | None
-    covers_frame: bool = False
-    tiling: Tiling | None = None
+    pixels: UInt  # (D,) row-major indices, each once
+    weights: Float  # (D,) of the path-traced radiance, 0..1; it is 0 in all other pixels
+    box: Box | None  # the rectangle around the pixels; None if there are none, or no image is made of them
+    covers_frame: bool = False  # whether the pixels are all of the frame and all weights are 1
+    tiling: Tiling | None = None  # of pixels scattered over the frame; None if the image is the rectangle
 
     @staticmethod
     def in_region(arrays: Arrays, region: FoveaRegion) -> Disc:
@@ -141,7 +132,7 @@ class Disc:
 
 
 def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[UInt, Float]:
-    """Row-major indices (D,) and weights (D,) of a region's pixels, not evaluated."""
+    """Row-major indices and weights of a region's pixels."""
     plain, (table, size) = arrays.plain, region.table()
     values = uploaded(plain.UInt, table)
     # Read at a literal, each would be copied on its own.

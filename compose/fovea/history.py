@@ -133,11 +133,10 @@ class History:
         return compressed(pixels, lacking | (own[POSITIONS] == 0))
 
     def see(self, camera: Camera, seen: Samples, positions: int, seed: int, disc: Disc) -> None:
-        """Makes the camera's view the current one, and adds auxiliary features of it.
+        """Makes the camera's view the current one; the one before, if of the same size, becomes earlier.
 
-        These are of some pixels `seen` in a disc, as means over a number of sample positions; the light of
-        `seen` does not count. The seed is that of the samples to come. The view before, if of the same size,
-        becomes an earlier one.
+        Auxiliary features are added of some pixels `seen` in a disc, whose light does not count, as means
+        over a number of sample positions. The seed is that of the samples to come.
         """
         view = self._view
         if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
@@ -163,7 +162,7 @@ class History:
         return recalled
 
     def remember(self, new: Samples) -> None:
-        """Adds samples of the current view."""
+        """Adds light of the current view."""
         self._current().add_light(new)
 
     def _current(self) -> _View:
@@ -188,11 +187,8 @@ class History:
 class _View:
     """What has been traced from one camera at a moment, for all N = H * W pixels.
 
-    Attributes:
-        pattern: seed of the pattern of its samples.
-        records: flat Float, N records (compose.fovea.samples).
-        hits: flat Float, for each pixel position, class of gloss and mover of what the first sample hit.
-        known: Bool (N,), pixels of which anything is known.
+    Flat Floats: N records (compose.fovea.samples), and hits: position, class of gloss and mover of what the
+    first sample hit. `known`, Bool (N,), are pixels of which anything is known.
     """
 
     def __init__(self, arrays: Arrays, camera: Camera, moment: Moment, pattern: int):
@@ -202,11 +198,11 @@ class _View:
         self.known = dr.zeros(arrays.plain.Bool, size)
 
     def record(self, pixels: UInt) -> list[Float]:
-        """Sixteen Floats (D,), the records of pixels."""
+        """Sixteen Floats (D,)."""
         return self._read(self.records, RECORD, pixels)
 
     def hit(self, pixels: UInt) -> list[Float]:
-        """Eight Floats (D,), what the first samples of pixels hit."""
+        """Eight Floats (D,), what the first samples hit."""
         return self._read(self.hits, _HIT, pixels)
 
     def _read(self, table: Float, size: int, pixels: UInt) -> list[Float]:

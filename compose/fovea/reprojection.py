@@ -52,42 +52,18 @@ _FARTHEST = 0x7F800000
 
 @dataclass(frozen=True)
 class EarlierView:
-    """What was traced from one camera, for N of its pixels.
+    """What was traced from one camera, for N of its pixels."""
 
-    Attributes:
-        records: sixteen Floats (N,) (compose.fovea.samples), at least one sample each.
-        position: three Floats (N,), of what was hit, in the world; of what moves, where that is at rest.
-        gloss, mover: Float (N,) each, of what was hit.
-        viewpoint: (3,) position of the camera.
-        time: that it showed, from 0 to 1.
-    """
-
-    records: list[Float]
-    position: list[Float]
-    gloss: Float
+    records: list[Float]  # sixteen (N,) (compose.fovea.samples), at least one sample each
+    position: list[Float]  # three (N,), of what was hit, in the world; of what moves, where that is at rest
+    gloss: Float  # (N,), of what was hit, as the mover
     mover: Float
-    viewpoint: NDArray[np.float64]
-    time: float = 0.0
-
-
-@dataclass(frozen=True)
-class SamplePlaces:
-    """Where M samples of earlier views are, as Dr.Jit arrays of width M.
-
-    The position is three Floats, in the world, or at rest if it moves. UInts are the class of gloss of what
-    was hit, the number of the view, less than MOST_VIEWS, and the number of what was hit among what moves.
-    """
-
-    position: list[Float]
-    gloss: UInt
-    view: UInt
-    mover: UInt
+    viewpoint: NDArray[np.float64]  # (3,) position of the camera
+    time: float  # that it showed, from 0 to 1
 
 
 class EarlierViews:
-    """The samples of the last MOST_VIEWS views, one view after another in a ring.
-
-    Once a view is added, nothing of it moves unless the ring must grow.
+    """The samples of the last MOST_VIEWS views, one after another in a ring; they move only when it grows.
 
     Attributes:
         moment: what is seen now; set before views of it are added.
@@ -143,12 +119,16 @@ class EarlierViews:
         self.viewpoints[number], self._times[number] = np.inf, np.nan
         self._first = (self._first + self._sizes.popleft()) % self._room
 
-    def places(self, index: UInt) -> SamplePlaces:
-        """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
+    def places(self, index: UInt) -> tuple[list[Float], UInt, UInt, UInt]:
+        """Where the samples at an index (M,) are; the oldest view's first sample has index 0.
+
+        Three Floats (M,), in the world, or at rest if it moves; UInts (M,): the class of gloss of what was
+        hit, the number of the view, less than MOST_VIEWS, and the number of what was hit among what moves.
+        """
         *position, tag = self.arrays.packet(self._places, _PLACE, self._slot(index))
         tag = self.arrays.plain.UInt(tag)
         gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
-        return SamplePlaces(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
+        return position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS)
 
     def records(self, index: UInt) -> list[Float]:
         """Sixteen Floats (M,): the records of the samples at an index."""
@@ -183,7 +163,7 @@ class EarlierViews:
 class VisibleSurfaces:
     """The surfaces that samples of a view hit, around each pixel of the rectangle in which these lie.
 
-    The table is a flat Float, of each pixel, row by row: the least and the greatest distance at which a
+    The table has four floats of each pixel, row by row: the least and the greatest distance at which a
     surface may be that is visible in it or in the eight around it; 1 if the pixel itself shows something that
     mirrors or refracts, else 0; and 0.
     """
@@ -210,11 +190,7 @@ class VisibleSurfaces:
         return VisibleSurfaces(arrays, box, _around(arrays, sampled, height, width))
 
     def contain(self, pixel: UInt, distance: Float, gloss: UInt, active: Bool) -> Bool:
-        """Whether hits lie on these surfaces, if active, Bool (M,).
-
-        Given are the pixel of the rectangle that each is in, UInt (M,), its distance from the camera, Float
-        (M,), and its class of gloss, UInt (M,).
-        """
+        """Whether hits (M,) in pixels of the rectangle lie on these surfaces; not if they are not active."""
         around = self.arrays.packet(self.table, _AROUND, pixel, active)
         same = active & (distance >= around[0]) & (distance <= around[1])
         # Specular objects are thin in places, and what is visible beside them is far behind them.
@@ -222,7 +198,7 @@ class VisibleSurfaces:
 
 
 def _around(arrays: Arrays, sampled: Float, height: int, width: int) -> Float:
-    """Table of the surfaces around each pixel, from that of the pixels and of a frame around them."""
+    """The table of surfaces, from that of the pixels and of a frame around them."""
     plain, stride = arrays.plain, arrays.constant(width + 2)
     index = dr.arange(plain.UInt, height * width)
     row, column = arrays.rows_columns(index, width)
@@ -262,10 +238,9 @@ class Reprojected:
 
 
 def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Reprojected | None:
-    """What earlier views contribute to a camera's view, without what no longer holds.
+    """What earlier views contribute to a camera's view in a rectangle; None without samples on either side.
 
-    New samples of it, all in a rectangle, show the surfaces that are visible now. The sums are over that
-    rectangle; None without samples on either side.
+    New samples of the view, all in the rectangle, show the surfaces that are visible now.
 
     Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
     at the border of a pixel must not end up on its other side. Distances and sums are float32.
@@ -279,22 +254,22 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
 
 
 def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[UInt, UInt]:
-    """Where M samples of earlier views are visible among the P pixels of the surfaces' rectangle.
+    """The pixel (M,) of P in which each earlier sample is visible, and how many (P + 1,) are in each.
 
-    UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on a
-    surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
+    P stands for samples that lie elsewhere, are hidden, or are on a surface that is not visible or looks
+    different now.
     """
     arrays, plain = views.arrays, views.arrays.plain
     height, width = shape_of(surfaces.box)
-    place = views.places(dr.arange(plain.UInt, views.samples))
-    position = views.moment.placed(arrays, place.position, place.mover)
+    rest, gloss, view, mover = views.places(dr.arange(plain.UInt, views.samples))
+    position = views.moment.placed(arrays, rest, mover)
     sight = _relative(arrays, position, _eye(arrays, camera))
     across, down, inside = _quarters(arrays, sight, camera, surfaces.box)
     pixel = (down >> 1) * arrays.constant(width) + (across >> 1)
     distance = dr.sqrt(plain.Float(_product(sight, sight)))
     # Whatever was visible from this very position still is.
-    certain, unchanged = _compared(views, place, position, sight, camera)
-    holds = inside & (certain | (surfaces.contain(pixel, distance, place.gloss, inside) & unchanged))
+    certain, unchanged = _compared(views, (gloss, view, mover), position, sight, camera)
+    holds = inside & (certain | (surfaces.contain(pixel, distance, gloss, inside) & unchanged))
     # Quarters of pixels: four times the pixel's index, plus 0 to 3; 4 P for those that are nowhere.
     quarter = pixel << 2 | (down & 1) << 1 | across & 1
     quarter = dr.select(holds, quarter, arrays.constant(4 * height * width))
@@ -350,15 +325,12 @@ def _eye(arrays: Arrays, camera: Camera) -> list[Float64]:
 
 
 def _relative(arrays: Arrays, position: list[Float] | list[Float64], origin: list[Float64]) -> list[Float64]:
-    """Three Float64 (M,): vectors to positions from origins, of width 1 or (M,)."""
+    """Vectors to positions from origins, of width 1 or (M,)."""
     return [arrays.plain.Float64(at) - start for at, start in zip(position, origin, strict=True)]
 
 
 def _quarters(arrays: Arrays, sight: list[Float64], camera: Camera, box: Box) -> tuple[UInt, UInt, Bool]:
-    """Column and row among the quarters of a rectangle's pixels, and whether it holds the sample.
-
-    Lines of sight are three Float64 (M,), from the camera to the samples, in the world.
-    """
+    """Column and row among the quarters of a rectangle's pixels, and whether it holds the sample."""
     plain = arrays.plain
     number = lambda value: dr.opaque(plain.Float64, float(value))  # noqa: E731
     x, y, depth = (
@@ -378,28 +350,29 @@ def _quarters(arrays: Arrays, sight: list[Float64], camera: Camera, box: Box) ->
 
 def _compared(
     views: EarlierViews,
-    place: SamplePlaces,
+    tags: tuple[UInt, UInt, UInt],
     position: list[Float] | list[Float64],
     sight: list[Float64],
     camera: Camera,
 ) -> tuple[Bool, Bool]:
     """Whether samples come from this very viewpoint, and whether their surface looks the same from here.
 
-    Positions and lines of sight of M samples are those of now.
+    Tags are gloss, view and mover; positions and lines of sight are those of now.
     """
+    gloss, view, mover = tags
     plain, now = views.arrays.plain, views.of_now()
     same = (np.abs(views.viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1) & now
     table = uploaded(plain.Float64, np.column_stack([views.viewpoints, same + _NOW * now]))
-    *origin, kind = views.arrays.packet(table, 4, place.view)
+    *origin, kind = views.arrays.packet(table, 4, view)
     before = _relative(views.arrays, position, origin)
     # Compared by their squares, which takes no root; both cosines are positive.
     product = _product(before, sight)
-    least = dr.select(place.gloss == GLOSSY, plain.Float64(_GLOSSY_COSINE**2), _SPECULAR_COSINE**2)
+    least = dr.select(gloss == GLOSSY, plain.Float64(_GLOSSY_COSINE**2), _SPECULAR_COSINE**2)
     unturned = (product > 0) & (
         product * product >= least * _product(before, before) * _product(sight, sight)
     )
-    is_diffuse = place.gloss == DIFFUSE
-    lasting = (is_diffuse | unturned) & (kind >= _NOW) | is_diffuse & (place.mover != UNSTEADY)
+    is_diffuse = gloss == DIFFUSE
+    lasting = (is_diffuse | unturned) & (kind >= _NOW) | is_diffuse & (mover != UNSTEADY)
     return kind > _NOW, lasting
 
 

@@ -1,9 +1,8 @@
 """Samples of some pixels of a view, how those of two passes are merged, and records of their sums.
 
-Records are sums over a pixel's samples, as they are stored, reprojected and added up. A record is sixteen
-floats: the number of samples, three sums of their radiance, three of its squares; the number of sample
-positions whose auxiliary features are known, three sums of their albedo, three of their normals; and two
-zeros. Kernels load it at once. Here, N records are a list of sixteen Floats (N,).
+A record is sixteen floats of a pixel, loaded at once: the number of samples, three sums of their radiance,
+three of its squares; the number of sample positions whose auxiliary features are known, three sums of their
+albedo, three of their normals; and two zeros. Here, N records are a list of sixteen Floats (N,).
 
 Sums of squares beyond float32 are inf. Sums of radiance beyond it, which takes several samples near the
 largest float, count as the largest float.
@@ -33,29 +32,17 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples of D pixels of one view, as Dr.Jit arrays of width D.
+    """Samples of D pixels of one view, as Dr.Jit arrays of width D; lists have three of them."""
 
-    Attributes:
-        pixels: UInt, row-major indices, each once.
-        count: Float, samples in each; 0 where only the auxiliary features are known.
-        radiance: three Floats, their mean, linear.
-        squares: three Floats, mean of their squares; inf where these are beyond float32.
-        albedo, normal: three Floats each, means over sample positions in the pixel.
-        position: three Floats, in the world, where one of the samples appears to hit something; far away for
-            sky.
-        gloss: Float, DIFFUSE, GLOSSY or SPECULAR (compose.base.traced_samples), of what it hits.
-        mover: Float, number of what it hits among what moves; 0 if that stands still.
-    """
-
-    pixels: UInt
-    count: Float
-    radiance: list[Float]
-    squares: list[Float]
-    albedo: list[Float]
+    pixels: UInt  # row-major indices, each once
+    count: Float  # samples in each; 0 where only the auxiliary features are known
+    radiance: list[Float]  # their mean, linear
+    squares: list[Float]  # mean of their squares; inf where these are beyond float32
+    albedo: list[Float]  # mean over sample positions in the pixel, as the normal
     normal: list[Float]
-    position: list[Float]
-    gloss: Float
-    mover: Float
+    position: list[Float]  # in the world, where one of the samples appears to hit; far away for sky
+    gloss: Float  # DIFFUSE, GLOSSY or SPECULAR (compose.base.traced_samples), of what it hits
+    mover: Float  # number of what it hits among what moves; 0 if that stands still
 
     @staticmethod
     def none(arrays: Arrays, pixels: UInt) -> Samples:
@@ -70,10 +57,7 @@ class Samples:
         return dr.width(self.pixels)
 
     def variance(self) -> list[Float]:
-        """Three Floats, variance of the mean radiance; inf where it is unknown.
-
-        One sample alone cannot tell, and neither can those whose squares are beyond float32.
-        """
+        """Of the mean radiance; inf where it is unknown: one sample, or squares beyond float32."""
         if not self.size:
             # Dr.Jit refuses arithmetic with arrays of width 0.
             return self.squares

@@ -1,9 +1,8 @@
 """One estimate of foveal radiance from noisy samples, denoised samples, and biased splats.
 
-The parents err in different places: the traced radiance is noisy, denoising blurs and invents, splats lack
-detail and cannot follow changes. A small convolutional network, fitted to a scene, sees all of them and says
-per pixel what each is worth; where none was fitted, statistics do (`statistical`). Five things are built
-around it:
+The traced radiance is noisy, denoising blurs and invents, splats lack detail and cannot follow changes. A
+small convolutional network, fitted to a scene, sees all of them and says per pixel what each is worth; where
+none was fitted, statistics do (`statistical`). Five things are built around it:
 
 - The splats are sharpened first: where the traced albedo varies within the size of a splat, so must the
   radiance. How much of that variation they lack is part of what the network says.

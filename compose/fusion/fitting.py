@@ -163,8 +163,7 @@ def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor
 
 def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
     """A random part of an example, mirrored and transposed at random, sometimes with wrong splats."""
-    height, width = stack.shape[-2:]
-    top, left = rng.integers(height - LEAST_SIZE + 1), rng.integers(width - LEAST_SIZE + 1)
+    top, left = (rng.integers(side - LEAST_SIZE + 1) for side in stack.shape[-2:])
     patch = stack[:, top : top + LEAST_SIZE, left : left + LEAST_SIZE].clone()
     images = STACK.parts(patch)
     telling = float(images["count"][0, 0, 0]) >= _TELLING
@@ -251,7 +250,17 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
                 count = float(np.exp(np.log(parents.count).mean()))
                 cell = cell_of(parents.quick, count, parents.enlargement)
                 cells[cell][example.view].append(_errors(trial, example))
-    return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
+    found = {
+        cell: _tried({view: np.concatenate(e) for view, e in of_views.items()})
+        for cell, of_views in cells.items()
+    }
+    shape = 2, len(COUNTS), len(ENLARGEMENTS)
+    shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
+    for index in np.ndindex(shape):
+        # Where nothing was tried, as in the nearest cell: the denoiser matters least, the enlargement most.
+        nearest = min(found, key=lambda cell: tuple(np.abs(np.subtract(cell, index))[::-1]))
+        shares[index], gains[index] = found[nearest]
+    return Proof(shares, gains)
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
@@ -271,18 +280,6 @@ def _errors(fusion: Fusion, example: Example) -> _Errors:
     return np.ascontiguousarray((sums / areas).reshape(len(MIXED), len(MIXED), -1).transpose(2, 0, 1))
 
 
-def _proof(cells: dict[Cell, dict[int, _Errors]]) -> Proof:
-    """What to show in all cells; those in which nothing was tried get what the nearest one gets."""
-    found = {cell: _tried(of_views) for cell, of_views in cells.items()}
-    shape = 2, len(COUNTS), len(ENLARGEMENTS)
-    shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
-    for index in np.ndindex(shape):
-        # How far cells are: the denoiser matters least, the enlargement most.
-        nearest = min(found, key=lambda cell: tuple(np.abs(np.subtract(cell, index))[::-1]))
-        shares[index], gains[index] = found[nearest]
-    return Proof(shares, gains)
-
-
 def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
     """Shares in one cell, and their gain over the better parent in decibels."""
     scaled = _relative(of_views)
@@ -300,16 +297,11 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
         left.append(_squared(of_views[view], chosen))
     if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
         return alone, 0.0
-    return _best(mean), _decibels(np.concatenate(list(of_views.values())), np.concatenate(left))
-
-
-def _decibels(errors: _Errors, left: NDArray[np.float64]) -> float:
-    """How much less than the better parent's error (B, M, M) is left (B,).
-
-    Relative errors decide what is shown, but noise biases them, and hardly these.
-    """
-    parent = max(float(errors.mean(axis=0).diagonal()[1:].min()), 0) + INVISIBLE
-    return float(10 * np.log10(parent / max(float(left.mean()) + INVISIBLE, _LEAST_LEFT * parent)))
+    # Relative errors decide what is shown, but noise biases them, and hardly these.
+    errors = np.concatenate(list(of_views.values())).mean(axis=0)
+    least = max(float(errors.diagonal()[1:].min()), 0) + INVISIBLE
+    rest = max(float(np.concatenate(left).mean()) + INVISIBLE, _LEAST_LEFT * least)
+    return _best(mean), float(10 * np.log10(least / rest))
 
 
 def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:

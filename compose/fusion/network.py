@@ -12,6 +12,7 @@ import os
 from collections.abc import Mapping, Sequence
 from functools import cache
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -49,9 +50,7 @@ Cell = tuple[int, int, int]
 
 def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
     """The cell nearest to some conditions, by ratios of numbers."""
-    nearest = lambda values, value: min(  # noqa: E731
-        range(len(values)), key=lambda index: abs(math.log(values[index] / value))
-    )
+    nearest = lambda values, value: int(np.argmin(np.abs(np.log(values) - math.log(value))))  # noqa: E731
     return int(quick), nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement)
 
 
@@ -62,8 +61,8 @@ def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) ->
     """
     by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
     table = _steps().to(shares.device) @ by_count
-    last = len(table) - 1
-    step = (_STEPS * torch.log2(count[:, 0].clamp(min=1))).round().clamp(max=last).long()  # (N, H, W)
+    step = _STEPS * torch.log2(count[:, 0].clamp(min=1))  # (N, H, W)
+    step = step.round().clamp(max=len(table) - 1).long()
     return table[step].permute(0, 3, 1, 2).contiguous()
 
 
@@ -76,12 +75,8 @@ def _steps() -> Tensor:
 
 def _weights(knots: tuple[float, ...], at: float) -> Tensor:
     """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
-    weights = torch.zeros(len(knots))
-    at = min(max(at, knots[0]), knots[-1])
-    upper = max(1, next(index for index, knot in enumerate(knots) if knot >= at))
-    way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
-    weights[upper - 1], weights[upper] = 1 - way, way
-    return weights
+    weights = [np.interp(math.log(at), np.log(knots), one) for one in np.eye(len(knots))]
+    return torch.tensor(weights, dtype=torch.float32)
 
 
 class Fusion(torch.nn.Module):
@@ -108,8 +103,7 @@ class Fusion(torch.nn.Module):
         torch.nn.init.zeros_(self.judge.bias)
         gains = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS))
         # Until anything is tried, all is the network's.
-        shares = torch.stack([gains + 1, gains, gains], -1)
-        self.register_buffer("shares", shares)
+        self.register_buffer("shares", torch.stack([gains + 1, gains, gains], -1))
         self.register_buffer("gains", gains)
 
     def forward(self, features: Features) -> Tensor:

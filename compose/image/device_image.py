@@ -42,22 +42,15 @@ def all_plain(channels: Sequence[Float]) -> bool:
 
 @dataclass(frozen=True)
 class DeviceImage:
-    """An image of linear radiance, possibly part of a larger buffer.
-
-    Attributes:
-        values: flat Float, rows of `stride` pixels, of each of which the first three channels count.
-        width, height: image in pixels.
-        stride, channels: pixels per row of the buffer, and floats per pixel.
-        first_row: first row of the image that is in the buffer; rows that are not in it are black.
-    """
+    """An image of linear radiance, possibly part of a larger buffer."""
 
     arrays: Arrays
-    values: Float
-    width: int
+    values: Float  # rows of `stride` pixels, of each of which the first three channels count
+    width: int  # of the image, in pixels
     height: int
-    stride: int
-    channels: int = 3
-    first_row: int = 0
+    stride: int  # pixels per row of the buffer
+    channels: int = 3  # floats per pixel
+    first_row: int = 0  # of the image that is in the buffer; rows that are not in it are black
 
     @staticmethod
     def filled(arrays: Arrays, width: int, height: int, channels: list[Float]) -> DeviceImage:
@@ -105,7 +98,7 @@ class DeviceImage:
     def changed(self, pixels: UInt, channels: list[Float]) -> DeviceImage:
         """The image, in its own memory if it is whole, with other radiance in some pixels.
 
-        Those are given by their row-major indices UInt (N,), each once, their radiance as three Floats (N,).
+        Those are given by their row-major indices (N,), each once, their radiance as three Floats (N,).
         """
         image = self if self.is_whole else self.packed()
         index, _ = image._place(*self.arrays.rows_columns(pixels, self.width))

@@ -237,9 +237,10 @@ def loaded_scene(
     source: str, max_depth: int | None = None, thin_glass: bool = False, sensor: str | None = None
 ) -> Scene:
     """A scene by a bundled name or from a Mitsuba XML file, as its stored plan has it if there is one."""
-    from hybrid.preparation.scene_plan import scene_as_stored
+    from hybrid.preparation.scene_plan import as_stored
+    from pathtrace.scene.scene import load_scene
 
-    return scene_as_stored(source, max_depth, thin_glass, sensor=sensor)
+    return as_stored(load_scene(source, max_depth, thin_glass, sensor=sensor))
 
 
 def planned_scene(
@@ -250,9 +251,11 @@ def planned_scene(
     override: list[str] | None = None,
 ) -> Scene:
     """As `loaded_scene`, with a plan that is made if there is none, and of which items are overridden."""
-    from hybrid.preparation.scene_plan import planned_scene as load
+    from hybrid.preparation.scene_plan import as_planned
+    from pathtrace.scene.scene import load_scene
 
-    return load(source, max_depth, thin_glass, sensor, progress_bar, overridden(override))
+    scene = load_scene(source, max_depth, thin_glass, sensor=sensor)
+    return as_planned(scene, progress_bar, overridden(override))
 
 
 def overridden(override: list[str] | None) -> dict[str, Value]:

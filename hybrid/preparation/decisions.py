@@ -90,7 +90,7 @@ def _roulette(scene: Scene, cameras: Sequence[Camera], depth: int, seed: int) ->
     tried = (RUSSIAN_ROULETTE_DEPTH, *_TRIED)
     costs = path_costs(scene, cameras, _COSTED, [(depth, roulette) for roulette in tried], seed)
     work = {roulette: cost.segments * cost.variance for roulette, cost in zip(tried, costs, strict=True)}
-    best = min(work, key=lambda roulette: work[roulette])
+    best = min(work, key=work.__getitem__)
     if work[RUSSIAN_ROULETTE_DEPTH] < _LEAST_PATH_GAIN * work[best]:
         best = RUSSIAN_ROULETTE_DEPTH
     gain = work[RUSSIAN_ROULETTE_DEPTH] / work[best] if work[best] else 1.0
@@ -116,9 +116,9 @@ def degree_decision(look: Look) -> Decision:
     reflected = np.concatenate([mask.ravel() for mask in look.reflected])
     share, specular = (float((part | reflected).mean()) for part in (gloss != DIFFUSE, gloss == SPECULAR))
     degree = _DEGREE if share > _LEAST_GLOSS and not look.is_one_point else 0
-    evidence = {"turning": share, "is_one_point": look.is_one_point}
-    evidence |= {"specular": specular, "least": _LEAST_GLOSS}
     gain = sh_count(MAX_DEGREE) / sh_count(degree)
+    one_point = look.is_one_point
+    evidence = {"turning": share, "is_one_point": one_point, "specular": specular, "least": _LEAST_GLOSS}
     return Decision(DEGREE, degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
 
 
@@ -190,21 +190,17 @@ def sample_decisions(look: Look) -> list[Decision]:
     denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
     gain = max(raw / 2, LEAST_ERROR) / max(denoised, LEAST_ERROR)
     kind, gain = (DENOISED, gain) if gain >= _LEAST_DENOISING_GAIN else (RAW, 1.0)
-    evidence = {"raw_spp": HALF_SPP, "raw_db": decibels(raw)}
-    evidence |= {"denoised_spp": 2 * HALF_SPP, "denoised_db": decibels(denoised)}
-    return [
-        _samples(kind, decibels(denoised if kind == DENOISED else raw / 2)),
-        Decision(DENOISING, kind, RAW, evidence, gain, "samples for equal error"),
-    ]
-
-
-def _samples(kind: str, found_db: float) -> Decision:
-    """As many samples as frames need that have some PSNR with 2 * HALF_SPP."""
+    spp = 2 * HALF_SPP
+    errors = {"raw_spp": HALF_SPP, "raw_db": decibels(raw)}
+    errors |= {"denoised_spp": spp, "denoised_db": decibels(denoised)}
+    found_db = decibels(denoised if kind == DENOISED else raw / 2)
     doublings = np.ceil((CONVERGED_DB - found_db) / _GAIN_DB[kind])
-    samples = int(np.clip(2 * HALF_SPP * 2.0 ** np.clip(doublings, -8, 8), *_RANGE))
-    evidence = {"spp": 2 * HALF_SPP, "db": found_db}
-    evidence |= {"wanted_db": CONVERGED_DB, "db_per_doubling": _GAIN_DB[kind]}
-    return Decision(SAMPLES, samples, FIXED_SAMPLES, evidence, FIXED_SAMPLES / samples, "samples to trace")
+    samples = int(np.clip(spp * 2.0 ** np.clip(doublings, -8, 8), *_RANGE))
+    needed = {"spp": spp, "db": found_db, "wanted_db": CONVERGED_DB, "db_per_doubling": _GAIN_DB[kind]}
+    return [
+        Decision(SAMPLES, samples, FIXED_SAMPLES, needed, FIXED_SAMPLES / samples, "samples to trace"),
+        Decision(DENOISING, kind, RAW, errors, gain, "samples for equal error"),
+    ]
 
 
 REGION = "region"

@@ -7,14 +7,13 @@ node is corrected by the mean ratio of the errors that were found to those that 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image, srgb_from_radiance
@@ -26,7 +25,7 @@ from hybrid.render.expected_errors import errors_in, harmonics_of
 from hybrid.render.forest_attachments import attach_errors
 from pathtrace.dataset.captured_frames import is_intact, read_frame, read_radiance, render_frame, write_frame
 from pathtrace.dataset.frame_set import FrameSet
-from pathtrace.dataset.posed_images import read_pixels
+from pathtrace.dataset.posed_images import PosedImage, read_pixels
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
@@ -124,9 +123,11 @@ def with_errors(frames: Frames, forest: Forest) -> Forest:
         renderer.set_time(time)
         shown = np.array(renderer.render_layer(camera, len(forest.counts)).numpy())
         errors = np.square(srgb_from_radiance(shown) - srgb_from_radiance(radiance)).mean(axis=2)
-        pooled = _pooled(np.nan_to_num(errors, nan=1.0).astype(np.float32))
-        small = camera.resized(pooled.shape[1], pooled.shape[0])
-        views.append((coarse.place.camera(small), _at(coarse, time), pooled))
+        known = torch.from_numpy(np.nan_to_num(errors, nan=1.0).astype(np.float32))
+        height, width = (max(1, side // _POOLED) for side in errors.shape)
+        pooled = torch.nn.functional.adaptive_avg_pool2d(known[None], (height, width))[0].numpy()
+        place = coarse.place.camera(camera.resized(width, height))
+        views.append((place, _at(coarse, time), pooled))
     mean = float(np.mean([pooled.mean() for _, _, pooled in views]))
     found = torch.full((len(coarse.nodes),), max(mean, _LEAST))
     for _ in range(_CORRECTIONS):
@@ -140,13 +141,6 @@ def with_errors(frames: Frames, forest: Forest) -> Forest:
     return attach_errors(forest, found)
 
 
-def _pooled(errors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Errors (H, W), averaged over _POOLED x _POOLED pixels."""
-    height, width = (max(1, side // _POOLED) for side in errors.shape)
-    size = height, width
-    return torch.nn.functional.adaptive_avg_pool2d(torch.from_numpy(errors)[None], size)[0].numpy()
-
-
 def _at(coarse: Forest, time: float) -> Gaussians:
     """The nodes of a forest's only layer at a time, to show errors."""
     shown = replace(coarse.nodes.gaussians, directional=None, blending=Blending.LINEAR)
@@ -158,11 +152,10 @@ def _at(coarse: Forest, time: float) -> Gaussians:
 
 def _telling(frames: Frames) -> Iterator[tuple[Camera, float, Image]]:
     """Cameras, times and radiance (H, W, 3) of some frames."""
-    entries: Sequence[Any] = frames.training
-    for number in sorted({round(at) for at in np.linspace(0, len(entries) - 1, _TELLING)}):
-        entry = entries[number]
-        if isinstance(frames, FrameSet):
-            yield entry.camera, entry.time, read_radiance(entry.file, entry.size)
-        else:
+    for number in sorted({round(at) for at in np.linspace(0, len(frames.training) - 1, _TELLING)}):
+        entry = frames.training[number]
+        if isinstance(entry, PosedImage):
             pixels = read_pixels(entry)
             yield pixels.camera, entry.time, pixels.radiance
+        else:
+            yield entry.camera, entry.time, read_radiance(entry.file, entry.size)

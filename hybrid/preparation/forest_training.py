@@ -37,7 +37,7 @@ _LOG = logging.getLogger("hybrid")
 _PLANNED = {"gaussians": GAUSSIANS, "layers": LAYERS, "degree": DEGREE}
 
 
-def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
+def planned_settings(frames: Frames | None, **given: object) -> TrainingSettings:
     """Settings of a training: as given, else as planned for the scene of the frames, else their defaults.
 
     None and third-party frames have no plan; a setting that is None counts as not given.
@@ -46,9 +46,9 @@ def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
         UserError, ValueError: as in TrainingSettings.
     """
     plan = _plan(frames)
-    planned = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
-    planned["half_frames"] = plan.get(FRAME_PRECISION) == HALF
-    return TrainingSettings(**planned | {name: value for name, value in given.items() if value is not None})
+    wanted: dict[str, Any] = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
+    wanted["half_frames"] = plan.get(FRAME_PRECISION) == HALF
+    return TrainingSettings(**wanted | {name: value for name, value in given.items() if value is not None})
 
 
 def plan_with(frames: Frames, settings: TrainingSettings) -> dict[str, Value]:
@@ -196,7 +196,6 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
 
 
 def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
-    """Checks that there are frames that can be trained on as asked, and large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
     motion_for(frames, settings.motion, settings.labels)

@@ -23,7 +23,7 @@ from compose.fusion.fitting import (
     trials,
 )
 from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED
-from compose.fusion.parents import Parents
+from compose.fusion.parents import IMAGES, Parents
 from compose.image.colour import Image
 from hybrid.base.compute_device import device_arrays
 from hybrid.preparation.training_views import Frames
@@ -75,12 +75,11 @@ def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:
     fusion = fusion_of(forest)
     if fusion is None:
         return []
-    cells, rows = product((False, True), COUNTS, ENLARGEMENTS), []
+    names = "quick", "spp", "enlargement", *MIXED, "gain_db"
+    cells = product((False, True), COUNTS, ENLARGEMENTS)
     shares, gains = fusion.shares.flatten(0, 2).tolist(), fusion.gains.flatten().tolist()
-    for cell, mixed, gain in zip(cells, shares, gains, strict=True):
-        row = dict(zip(("quick", "spp", "enlargement", *MIXED), (*cell, *mixed), strict=True))
-        rows.append({**row, "gain_db": gain})
-    return rows
+    rows = zip(cells, shares, gains, strict=True)
+    return [dict(zip(names, (*cell, *mixed, gain), strict=True)) for cell, mixed, gain in rows]
 
 
 def _usable(frames: Frames) -> list[tuple[int, FrameEntry]]:
@@ -161,10 +160,9 @@ def _part(example: Example, rng: np.random.Generator) -> Example:
     top, left = (int(rng.integers(max(side - _MOST, 0) + 1)) for side in (height, width))
     box = np.s_[top : top + _MOST, left : left + _MOST]
     parents, reference = example.parents, example.reference
-    images = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
     one, other = reference.halves
     return replace(
         example,
-        parents=replace(parents, **{name: getattr(parents, name)[box] for name in images}),
+        parents=replace(parents, **{name: getattr(parents, name)[box] for name in IMAGES}),
         reference=FusionReference(reference.denoised[box], (one[box], other[box])),
     )

@@ -169,18 +169,10 @@ class _Job:
         forest = self._finished(frames, forest)
         if self.settings.quality != GLIMPSE:
             store_forest(forest, self.folder.name)
-        facts = {**self._facts(forest, frames), **self._limit(forest, frames)}
+        facts = self._facts(forest, frames)
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
-        self._say_converging(facts)
-        self._require_target(facts)
+        self._conclude(facts)
         return Prepared(forest, facts)
-
-    def _limit(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
-        """PSNR in training frames, and what limits the quality; the latter is None without held-out views."""
-        with self.planner.clock.stopped():
-            trained, held_out = trained_psnr(frames, forest), self.curve[-1].get("psnr")
-        limit = None if held_out is None else limit_of(self.passes[-1].error_db, trained, held_out)
-        return {"trained_psnr": trained, "limit": limit}
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""
@@ -221,17 +213,13 @@ class _Job:
         forest = self._trained(found, light, path, before)
         if number >= _FIRST_STORED.get(self.settings.quality, _SECOND):
             store_forest(forest, self.folder.name)
-        self._tell(frames, forest)
-        return forest
-
-    def _tell(self, frames: GrowingFrames, forest: Forest) -> None:
-        """Tells who asked for it what a stage has come to."""
         if self.told is not None:
-            number, seconds = self.planner.number, self.planner.clock.seconds()
+            spent = self.planner.clock.seconds()
             with self.planner.clock.stopped():
                 psnr = trained_psnr(frames, forest)
-            stages = max(number + 1, len(self.settings.stages))
-            self.told(Staged(self.folder / _STAGE.format(number), number + 1, stages, seconds, psnr))
+            planned = max(number + 1, len(self.settings.stages))
+            self.told(Staged(path, number + 1, planned, spent, psnr))
+        return forest
 
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""
@@ -308,11 +296,16 @@ class _Job:
         return forest
 
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
+        """What was reached, and what limits it; the latter is None without held-out views."""
         samples, last = frames.samples, self.curve[-1]
+        seconds = self.planner.journal.once("total", self.planner.clock.seconds)
+        with self.planner.clock.stopped():
+            trained = trained_psnr(frames, forest)
+        limit = limit_of(self.passes[-1].error_db, trained, last["psnr"]) if "psnr" in last else None
         return {
             "scene": self.scene.name,
             "region": self.region.name,
-            "seconds": self.planner.journal.once("total", self.planner.clock.seconds),
+            "seconds": seconds,
             "gaussians": len(forest.finest),
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
@@ -321,10 +314,12 @@ class _Job:
             "splat": {name: last[name] for name in ("psnr", "ssim", "least_psnr") if name in last},
             "curve": self.curve,
             "forest": str(self.folder / "forest.safetensors"),
+            "trained_psnr": trained,
+            "limit": limit,
         }
 
-    def _say_converging(self, facts: dict[str, Any]) -> None:
-        """Names frames that are noisier than a forest is likely to be wrong, and what would help."""
+    def _conclude(self, facts: dict[str, Any]) -> None:
+        """Names frames that converge slowly; UserError if a target was not reached."""
         if facts["converging_seconds"] is not None:
             last = self.passes[-1]
             _LOG.warning(
@@ -332,9 +327,6 @@ class _Job:
                 f"{last.seconds:.0f} s of tracing, {CONVERGED_DB:g} dB would take about "
                 f"{facts['converging_seconds']:.0f} s"
             )
-
-    def _require_target(self, facts: dict[str, Any]) -> None:
-        """UserError if a target was not reached; the forest is kept."""
         wanted, found = self.settings.psnr, facts["splat"].get("psnr")
         if wanted is not None and found < wanted:
             raise UserError(

@@ -48,7 +48,7 @@ from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region.viewing_regions import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
-from pathtrace.scene.scene import DEPTH, ROULETTE, Scene, load_scene
+from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
 from splat.model.gaussians import MAX_DEGREE
 
 if TYPE_CHECKING:
@@ -148,43 +148,24 @@ def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> Non
     Raises:
         UserError: something moves in a scene planned as still, or the other way round.
     """
-    planned, fact = values.get(MOTION, motion_of(scene)), motion_of(scene)
-    if planned != fact:
+    fact = motion_of(scene)
+    if (planned := values.get(MOTION, fact)) != fact:
         raise UserError(f"{source}: its plan has {MOTION} {planned}, but {scene.name} has {fact}")
 
 
-_VERSION = 4
+_FILE, _VERSION = "plan.json", 4
 # Of frames where nothing else is asked for.
 DISPLAY, SIZE = "desktop", (1920, 1080)
 
 
-def scene_as_stored(
-    source: str | Path | dict[str, Any],
-    max_depth: int | None = None,
-    thin_glass: bool = False,
-    motion: Path | None = None,
-    sensor: str | None = None,
-) -> Scene:
-    """Loads a scene like `load_scene`, and as its stored plan has it if there is one; a given depth stays.
+def as_stored(scene: Scene) -> Scene:
+    """A scene as its stored plan has it if there is one, but with a depth that it was given.
 
     Raises:
-        UserError: as in `load_scene`, or the stored plan contradicts the scene.
+        UserError: the stored plan contradicts the scene.
     """
-    scene = load_scene(source, max_depth, thin_glass, motion, sensor)
     plan = _stored(scene)
     return scene if plan is None else scene.planned(plan.values())
-
-
-def planned_scene(
-    source: str | Path | dict[str, Any],
-    max_depth: int | None = None,
-    thin_glass: bool = False,
-    sensor: str | None = None,
-    bars: Bars = no_bars,
-    override: Mapping[str, Value] | None = None,
-) -> Scene:
-    """Loads a scene like `load_scene`, and as its plan has it (`as_planned`)."""
-    return as_planned(load_scene(source, max_depth, thin_glass, sensor=sensor), bars, override)
 
 
 def as_planned(scene: Scene, bars: Bars = no_bars, override: Mapping[str, Value] | None = None) -> Scene:
@@ -232,7 +213,7 @@ def store_plan(plan: ScenePlan) -> None:
         UserError: the cache folder cannot be written.
     """
     text = json_text({"version": _VERSION, "scene": plan.scene_hash, "decisions": plan.rows()})
-    write_whole(_file(plan.scene_name, plan.scene_hash), lambda part: part.write_text(text))
+    write_whole(scene_folder(plan.scene_name, plan.scene_hash) / _FILE, lambda part: part.write_text(text))
 
 
 def with_plan_of(scene: Scene, other: Scene) -> Scene:
@@ -249,17 +230,13 @@ def with_plan_of(scene: Scene, other: Scene) -> Scene:
     return scene if plan is None else scene.planned(plan.values())
 
 
-def _file(name: str, digest: str) -> Path:
-    return scene_folder(name, digest) / "plan.json"
-
-
 def _stored(scene: Scene) -> ScenePlan | None:
     """The plan in the scene's folder; None if there is none, or none that this version reads.
 
     Raises:
         UserError: it contradicts the scene.
     """
-    file = _file(scene.name, scene.own_hash)
+    file = scene_folder(scene.name, scene.own_hash) / _FILE
     try:
         content = read_json(file)
         if (content["version"], content["scene"]) != (_VERSION, scene.own_hash):
@@ -315,12 +292,12 @@ def _value(name: str, value: str) -> Value:
 
 def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:
     """A plan with some decisions taken by the user; those have no gain that anybody knows."""
-    decisions = []
-    for one in plan.decisions:
-        if one.name in values:
-            evidence = {"planned": one.value, **one.evidence}
-            one = replace(one, value=values[one.name], evidence=evidence, gain=1.0)
-        decisions.append(one)
+    decisions = [
+        replace(one, value=values[one.name], evidence={"planned": one.value, **one.evidence}, gain=1.0)
+        if one.name in values
+        else one
+        for one in plan.decisions
+    ]
     return replace(plan, decisions=tuple(decisions))
 
 

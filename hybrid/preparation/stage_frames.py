@@ -125,7 +125,7 @@ def limit_of(frames_db: float, trained_db: float, held_out_db: float) -> str:
     """
     of_frames, trained, held_out = (10 ** (-db / 10) for db in (frames_db, trained_db, held_out_db))
     shares = {SAMPLES: of_frames, GAUSSIANS: trained - of_frames, VIEWS: held_out - trained}
-    return max(shares, key=lambda name: shares[name])
+    return max(shares, key=shares.__getitem__)
 
 
 # What doubling the samples of a denoised frame gains at least and at most, in dB; it was 1.0 (caustics) to

@@ -231,15 +231,15 @@ def test_samples_stand_in_the_order_in_which_they_came(arrays):
         known.add(view(number, 1 + number * 37 % 900).on(arrays))
         expected = [view(n, 1 + n * 37 % 900) for n in range(max(0, number - MOST_VIEWS + 1), number + 1)]
         index = dr.arange(arrays.plain.UInt, known.samples)
-        place, records = known.places(index), known.records(index)
-        position = np.stack([side.numpy() for side in place.position], axis=1)
+        (position, gloss, view_of, mover), records = known.places(index), known.records(index)
+        position = np.stack([side.numpy() for side in position], axis=1)
         np.testing.assert_array_equal(position, np.concatenate([v.position for v in expected]))
-        np.testing.assert_array_equal(place.gloss.numpy(), np.concatenate([v.gloss for v in expected]))
-        np.testing.assert_array_equal(place.mover.numpy(), np.concatenate([v.mover for v in expected]))
+        np.testing.assert_array_equal(gloss.numpy(), np.concatenate([v.gloss for v in expected]))
+        np.testing.assert_array_equal(mover.numpy(), np.concatenate([v.mover for v in expected]))
         stored = np.stack([column.numpy() for column in records], axis=1)
         np.testing.assert_array_equal(stored, np.concatenate([v.records for v in expected]))
         # The number of a view leads to its viewpoint.
-        np.testing.assert_array_equal(known.viewpoints[place.view.numpy()][:, 0], position[:, 0])
+        np.testing.assert_array_equal(known.viewpoints[view_of.numpy()][:, 0], position[:, 0])
 
 
 def test_cleared_views_are_forgotten(arrays):
