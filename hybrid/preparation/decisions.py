@@ -59,12 +59,6 @@ def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[D
     if scene.optics.has_media:
         own = ((DEPTH, scene.own_depth, UNBOUNDED), (ROULETTE, scene.roulette_depth, RUSSIAN_ROULETTE_DEPTH))
         return [Decision(*each, {"has_media": True}, 1.0, "segments per path") for each in own]
-    depth = _depth_decision(scene, cameras, seed)
-    return [depth, _roulette(scene, cameras, int(depth.value), seed)]
-
-
-def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decision:
-    """A bound if it saves something: a small share of all radiance may be all of what is seen in glass."""
     shares = depth_shares(scene, cameras, _PATHS, seed)
     needed = max(shares.depth_for(MOST_BIAS), 2)
     tried = [(most, RUSSIAN_ROULETTE_DEPTH) for most in (needed, UNBOUNDED)]
@@ -81,8 +75,10 @@ def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decis
         "segments": bounded,
         "segments_unbounded": unbounded,
     }
+    # A bound only if it saves something: a small share of all radiance may be all of what is seen in glass.
     depth, gain = (needed, unbounded / bounded) if pays else (UNBOUNDED, 1.0)
-    return Decision(DEPTH, depth, UNBOUNDED, evidence, gain, "segments per path")
+    bound = Decision(DEPTH, depth, UNBOUNDED, evidence, gain, "segments per path")
+    return [bound, _roulette(scene, cameras, depth, seed)]
 
 
 def _roulette(scene: Scene, cameras: Sequence[Camera], depth: int, seed: int) -> Decision:

@@ -75,9 +75,6 @@ class Judges:
 
     They are traced as the training frames are, which may be biased by up to a percent: their error is that of
     the Gaussians against what these could learn. `progress` is called with frames done and frames in total.
-
-    Raises:
-        UserError: a file cannot be written.
     """
 
     def __init__(

@@ -40,10 +40,8 @@ _PLANNED = {"gaussians": GAUSSIANS, "layers": LAYERS, "degree": DEGREE}
 def planned_settings(frames: Frames | None, **given: object) -> TrainingSettings:
     """Settings of a training: as given, else as planned for the scene of the frames, else their defaults.
 
-    None and third-party frames have no plan; a setting that is None counts as not given.
-
-    Raises:
-        UserError, ValueError: as in TrainingSettings.
+    None and third-party frames have no plan; a setting that is None counts as not given. Errors are those of
+    TrainingSettings.
     """
     plan = _plan(frames)
     wanted: dict[str, Any] = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
@@ -67,22 +65,14 @@ def checkpoint_path(forest: Path) -> Path:
 
 
 def save_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
-    """Saves the state of a training run on a frame set.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Saves the state of a training run on a frame set; UserError if the file cannot be written."""
     tensors, numbers = trainer.state()
     kind = {"format_version": FORMAT_VERSION, "kind": "checkpoint", "frames": frames.digest}
     save_tensors(path, tensors, {**kind, **numbers})
 
 
 def restore_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
-    """Continues from a checkpoint if there is one.
-
-    Raises:
-        UserError: the checkpoint is damaged, or belongs to another training run.
-    """
+    """Continues from a checkpoint if there is one; UserError if it is damaged, or of another training."""
     if not path.is_file():
         return
     tensors, metadata = load_tensors(path, "delete it to start again")

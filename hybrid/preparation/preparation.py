@@ -208,8 +208,8 @@ class _Job:
             cache, seed = cache_for(self.scene), self.settings.seed
             light = light_over_time(self.scene, cache, found, stages[-1].gaussians, seed, self.bars)
         self.planner.lap("light")
-        brought = lambda: Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)  # noqa: E731
-        self.passes.append(Pass(**self.planner.journal.once(f"pass {number}", lambda: asdict(brought()))))
+        brought = lambda: asdict(Pass(float(np.mean(frames.samples)), stated_error(frames), seconds))  # noqa: E731
+        self.passes.append(Pass(**self.planner.journal.once(f"pass {number}", brought)))
         forest = self._trained(found, light, path, before)
         if number >= _FIRST_STORED.get(self.settings.quality, _SECOND):
             store_forest(forest, self.folder.name)
@@ -238,7 +238,6 @@ class _Job:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
 
     def _views(self, stages: Sequence[Stage]) -> list[tuple[Camera, int]]:
-        """The views of some stages, with their scales."""
         with self.bars(f"stage {len(stages)}: choosing views") as bar:
             bar(0, sum(stage.views for stage in stages))
             return stage_views(self.region, stages, self.settings.seed)
@@ -352,12 +351,10 @@ def found_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tupl
 
 
 def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Forest]:
-    """A scene and its forest: the given one, else the newest one in the cache, else one that is prepared now.
+    """As `found_forest`, but a forest is prepared now if there is none.
 
     With a forest at hand, nothing is planned: a scene without a plan has the paths of the forest's plan.
-
-    Raises:
-        UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
+    UserError if the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
     scene, path = found_forest(scene, given, bars)
     if path is None:

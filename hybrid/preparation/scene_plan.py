@@ -93,14 +93,10 @@ def plan_of(
 ) -> ScenePlan:
     """Looks at a scene and decides what it requires; afterwards, one that moves shows its first time.
 
-    Args:
-        display, size: what frames are shown on, and their width and height in pixels.
-        region: where viewers may be (pathtrace.region).
-        seed: same seed, same plan on the same machine.
-        progress: called with parts done, their number, and what comes next.
-
-    Raises:
-        UserError: the scene's own camera sees no surface, there is no such region, or no free space in it.
+    Frames of `size`, width and height in pixels, are shown on the display; viewers are in the region
+    (pathtrace.region). Same seed, same plan on the same machine. `progress` is called with parts done, their
+    number, and what comes next. UserError if the scene's own camera sees no surface, there is no such region,
+    or no free space in it.
     """
     scene.show(0.0)
     progress(0, _PARTS, "choosing views")
@@ -143,11 +139,7 @@ def motion_of(scene: Scene) -> str:
 
 
 def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:
-    """Checks that a plan's values do not contradict the scene it is used with; the message names its source.
-
-    Raises:
-        UserError: something moves in a scene planned as still, or the other way round.
-    """
+    """UserError, which names the source, if something moves in a scene planned as still, or the reverse."""
     fact = motion_of(scene)
     if (planned := values.get(MOTION, fact)) != fact:
         raise UserError(f"{source}: its plan has {MOTION} {planned}, but {scene.name} has {fact}")
@@ -161,8 +153,7 @@ DISPLAY, SIZE = "desktop", (1920, 1080)
 def as_stored(scene: Scene) -> Scene:
     """A scene as its stored plan has it if there is one, but with a depth that it was given.
 
-    Raises:
-        UserError: the stored plan contradicts the scene.
+    UserError if the plan contradicts the scene.
     """
     plan = _stored(scene)
     return scene if plan is None else scene.planned(plan.values())
@@ -171,23 +162,18 @@ def as_stored(scene: Scene) -> Scene:
 def as_planned(scene: Scene, bars: Bars = no_bars, override: Mapping[str, Value] | None = None) -> Scene:
     """A scene as its plan has it, with items overridden, by name, that its stored plan keeps.
 
-    A plan is made and stored if there is none, which takes seconds to minutes.
+    A plan is made and stored if there is none, which takes seconds to minutes. A scene that has a plan
+    already, or that cannot be looked at because its camera sees no surface or stands in one, stays as it is.
 
-    A scene that has a plan already, or that cannot be looked at because its camera sees no surface or stands
-    in one, stays as it is.
-
-    Raises:
-        UserError: the cache folder cannot be written, the stored plan contradicts the scene, or items of a
-            plan that cannot be made are overridden.
+    UserError if the cache folder cannot be written, the stored plan contradicts the scene, or items of a plan
+    that cannot be made are overridden.
     """
     if scene.plan:
         return scene
     plan = plan_for(scene, bars)
-    if plan is None:
-        if override:
-            raise UserError(f"{scene.name}: has no plan of which {', '.join(override)} could be overridden")
-        return scene
-    return scene.planned({**plan.values(), **(override or {})})
+    if plan is None and override:
+        raise UserError(f"{scene.name}: has no plan of which {', '.join(override)} could be overridden")
+    return scene if plan is None else scene.planned({**plan.values(), **(override or {})})
 
 
 def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
@@ -207,11 +193,7 @@ def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
 
 
 def store_plan(plan: ScenePlan) -> None:
-    """Stores a plan; from now on, it is that of its scene.
-
-    Raises:
-        UserError: the cache folder cannot be written.
-    """
+    """Stores a plan; from now on, it is that of its scene. UserError if the folder cannot be written."""
     text = json_text({"version": _VERSION, "scene": plan.scene_hash, "decisions": plan.rows()})
     write_whole(scene_folder(plan.scene_name, plan.scene_hash) / _FILE, lambda part: part.write_text(text))
 
@@ -231,11 +213,7 @@ def with_plan_of(scene: Scene, other: Scene) -> Scene:
 
 
 def _stored(scene: Scene) -> ScenePlan | None:
-    """The plan in the scene's folder; None if there is none, or none that this version reads.
-
-    Raises:
-        UserError: it contradicts the scene.
-    """
+    """The plan in the scene's folder; None if there is none, or none that this version reads."""
     file = scene_folder(scene.name, scene.own_hash) / _FILE
     try:
         content = read_json(file)
@@ -262,11 +240,7 @@ _WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
 
 
 def parsed(given: Sequence[str]) -> dict[str, Value]:
-    """Values by name, from texts such as "degree=0".
-
-    Raises:
-        UserError: there is no such item, or it cannot have that value.
-    """
+    """Values by name, from texts such as "degree=0"; UserError if there is no such item or value."""
     found: dict[str, Value] = {}
     for text in given:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -306,11 +280,7 @@ _SHARE = 0.7
 
 
 def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
-    """Writes a PNG: what the scene looks like, where its radiance turns, what Gaussians bring, its depths.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Writes a PNG: what the scene looks like, where its radiance turns, what Gaussians bring, its depths."""
     # Not pyplot, which opens windows and has global state.
     from matplotlib.figure import Figure
 
@@ -324,7 +294,13 @@ def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
     turns = ((look.gloss[0] != DIFFUSE) | look.reflected[0])[..., None]
     marked = np.where(turns, (1 - _SHARE) * view + _SHARE * np.array(_TURNING), view)
     _image(turning, marked, "radiance turns with the view (red)")
-    _plot_gaussians(numbers, plan)
+    # What numbers of Gaussians leave, each in one colour, and the number that is planned.
+    decision = plan.decision(GAUSSIANS)
+    curve = decision.evidence["error_db"]
+    numbers.semilogx([int(count) for count in curve], list(curve.values()), "o-", color="#36c")
+    numbers.axvline(float(decision.value), color="#c33")
+    numbers.set_xlabel("Gaussians", fontsize=8)
+    numbers.set_title("dB of as many plain ones; planned (red)", fontsize=9)
     _plot_depths(depths, plan)
     rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
     decisions.axis("off")
@@ -339,16 +315,6 @@ def _image(axes: Axes, image: Image, title: str) -> None:
     axes.imshow(np.clip(image, 0, 1), interpolation="nearest")
     axes.set_title(title, fontsize=9)
     axes.axis("off")
-
-
-def _plot_gaussians(axes: Axes, plan: ScenePlan) -> None:
-    """What numbers of Gaussians leave, each in one colour, and the number that is planned."""
-    decision = plan.decision(GAUSSIANS)
-    curve = decision.evidence["error_db"]
-    axes.semilogx([int(count) for count in curve], list(curve.values()), "o-", color="#36c")
-    axes.axvline(float(decision.value), color="#c33")
-    axes.set_xlabel("Gaussians", fontsize=8)
-    axes.set_title("dB of as many plain ones; planned (red)", fontsize=9)
 
 
 def _plot_depths(axes: Axes, plan: ScenePlan) -> None:
