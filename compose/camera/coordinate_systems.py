@@ -110,10 +110,10 @@ def camera_from_json(entry: dict[str, Any]) -> Camera:
         raise ValueError(f"transform_matrix is {shape}; must be 4 x 4, one list per row")
     if not np.isfinite(matrix).all():
         raise ValueError("transform_matrix has a number that is not finite")
-    pose = opencv_from_opengl(matrix)
     width, height = (_whole_pixels(entry, name) for name in ("w", "h"))
     if width * height > MOST_PIXELS:
         raise ValueError(f"frame size {width} x {height}; at most {MOST_PIXELS:,} pixels")
+    pose = opencv_from_opengl(matrix)
     return camera_from_pose(pose, width, height, entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"])
 
 

@@ -33,17 +33,13 @@ _LIMIT_SPREAD = (0.181, 0.0191, 20.0)
 class AcuityModel:
     """An acuity model and how levels of detail follow from it.
 
-    Attributes:
-        cutoff: highest spatial frequency that is resolved, in cycles per degree, from eccentricities in
-            degrees.
-        relative: whether levels follow Fov-GS (Eq. 7): they depend on eccentricity alone, count from the edge
-            of the full-quality region regardless of what the finest layer can show there, and each layer
-            counts for the most that its pixels can hold. Otherwise a layer is replaced by the next one only
-            where the eye cannot tell them apart, saliency included, and is sampled twice as finely as it was
-            trained.
+    If `relative`, levels follow Fov-GS (Eq. 7): they depend on eccentricity alone, count from the edge of the
+    full-quality region regardless of what the finest layer can show there, and each layer counts for the most
+    that its pixels can hold. Otherwise a layer is replaced by the next one only where the eye cannot tell
+    them apart, saliency included, and is sampled twice as finely as it was trained.
     """
 
-    cutoff: Callable[[Array], Array]
+    cutoff: Callable[[Array], Array]  # cycles per degree that are resolved, from eccentricities in degrees
     relative: bool = False
 
 
@@ -138,13 +134,9 @@ def limit_sensitivity(
     finest gratings; the other studies' is a tenth of it. Luminance matters little: at 10 and 1,000 cd/m2 the
     cut-off is 5 % lower and 1 % higher.
 
-    Args:
-        frequency: in cycles per degree, over 0.
-        eccentricity: in degrees.
-        luminance: in cd/m2.
-        area: of the grating in square degrees.
-        parameters: log10 of the gain, a, b, c, and the frequency in cycles per degree whose sensitivity the
-            optics divide by 10.
+    Frequency is in cycles per degree, over 0, eccentricity in degrees, luminance in cd/m2, the grating's area
+    in square degrees. Parameters are log10 of the gain, a, b, c, and the frequency whose sensitivity the
+    optics divide by 10.
     """
     gain, constant, slope, power, optics = parameters
     falls = (constant + slope * frequency**power) * eccentricity + (frequency / optics) ** 2

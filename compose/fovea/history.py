@@ -7,7 +7,7 @@ traced it: nothing is resampled twice, so that nothing blurs or drifts however l
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -72,7 +72,7 @@ class History:
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
 
-    def state(self) -> dict[str, NDArray[np.generic]]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """Host arrays from which `restored` continues: those of the current view, without earlier views."""
         view = self._view
         if view is None:
@@ -83,13 +83,13 @@ class History:
         return {**known, **moment, "pattern": np.array([view.pattern])}
 
     @staticmethod
-    def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
+    def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[Any]]) -> History:
         """A history of a camera's view from the `state` of another one."""
         history = History(arrays)
         # Files of videos that earlier versions began know of nothing that moves.
         if "time" in state:
-            history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))  # type: ignore[arg-type]
-        pattern = int(state["pattern"][0])  # type: ignore[call-overload]
+            history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))
+        pattern = int(state["pattern"][0])
         view = history._view = _View(arrays, camera, history._earlier.moment, pattern)
         size = camera.width * camera.height
         tables = [np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT)]

@@ -49,14 +49,12 @@ def grid(camera: Camera) -> tuple[int, int]:
 class _Views:
     """Where points of a view lie in an image of another one; all are of width 1."""
 
-    across: list[Float]  # three Floats each, rows of what takes pixels of the view to those of the image
-    down: list[Float]
-    ahead: list[Float]
-    aside: list[Float]  # three Floats: how a point at depth 1 moves, since the viewpoints are not the same
-    nearest: Float  # Float, greatest inverse depth at which a search begins
-    width: UInt  # UInts, of both frames, and of the cells
+    turn: list[list[Float]]  # 3 x 3, takes pixels of the view to those of the image
+    aside: list[Float]  # three: how a point at depth 1 moves, since the viewpoints are not the same
+    nearest: Float  # greatest inverse depth at which a search begins
+    width: UInt  # of both frames
     height: UInt
-    columns: UInt
+    columns: UInt  # of the cells
     rows: UInt
 
     @staticmethod
@@ -67,11 +65,11 @@ class _Views:
         moved = camera.world_to_camera @ newest.camera_to_world
         turn = own @ moved[:3, :3] @ np.linalg.inv(other)
         fastest = max(camera.fx, camera.fy) * float(np.linalg.norm(moved[:3, 3]))
-        nearest = _REACH / max(fastest, _LEAST)
-        numbers = arrays.scalars(arrays.plain.Float, [*turn.ravel(), *own @ moved[:3, 3], nearest])
-        across, down, ahead, aside = (numbers[k : k + 3] for k in range(0, 12, 3))
+        numbers = [*turn.ravel(), *own @ moved[:3, 3], _REACH / max(fastest, _LEAST)]
+        numbers = arrays.scalars(arrays.plain.Float, numbers)
+        *turned, aside = (numbers[k : k + 3] for k in range(0, 12, 3))
         sizes = map(arrays.constant, (camera.width, camera.height, *reversed(grid(camera))))
-        return _Views(across, down, ahead, aside, numbers[12], *sizes)
+        return _Views(turned, aside, numbers[12], *sizes)
 
 
 class _Sight:
@@ -79,8 +77,7 @@ class _Sight:
 
     def __init__(self, views: _Views, x: Float, y: Float):
         self._views = views
-        rows = views.across, views.down, views.ahead
-        self._far = [dr.fma(row[0], x, dr.fma(row[1], y, row[2])) for row in rows]
+        self._far = [dr.fma(a, x, dr.fma(b, y, c)) for a, b, c in views.turn]
 
     def at(self, nearness: Float) -> tuple[Float, Float]:
         """Position in the image, in pixels, of what is at inverse depths in the view."""

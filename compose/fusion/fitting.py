@@ -214,12 +214,7 @@ _Errors = NDArray[np.float64]
 
 
 class Proof(NamedTuple):
-    """What is shown in each cell.
-
-    Shares (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) are those of network, denoised samples and splats;
-    gains are decibels by which the mixture's squared error was below the better parent's on unseen views, 0
-    where that parent alone is shown.
-    """
+    """Shares and gains of `Fusion`; gains are 0 where one parent alone is shown."""
 
     shares: NDArray[np.float32]
     gains: NDArray[np.float32]
@@ -264,7 +259,7 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
-    """(B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
+    """Unbiased products of errors in perceived radiance."""
     stack = example.stack()[None]
     with torch.inference_mode():
         height, width = (side - side % 2 for side in stack.shape[-2:])

@@ -80,18 +80,11 @@ def _weights(knots: tuple[float, ...], at: float) -> Tensor:
 
 
 class Fusion(torch.nn.Module):
-    """The network: what each parent is worth, from what all of them show.
-
-    It sees blocks of 2 x 2 pixels, and judges every pixel of them.
-
-    Attributes:
-        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) in what is shown, for each cell.
-        gains: decibels by which that was better than the better parent on unseen views, for each cell.
-    """
+    """The network: what each parent is worth, from what all of them show, in blocks of 2 x 2 pixels."""
 
     WIDTH = 24  # channels of the hidden layers
-    shares: Tensor
-    gains: Tensor
+    shares: Tensor  # (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) in what is shown, for each cell
+    gains: Tensor  # decibels by which that was better than the better parent on unseen views, for each cell
 
     def __init__(self) -> None:
         super().__init__()
