@@ -96,10 +96,8 @@ def camera_to_json(camera: Camera) -> dict[str, Any]:
 def camera_from_json(entry: dict[str, Any]) -> Camera:
     """The camera that an entry of transforms.json describes; the inverse of `camera_to_json`.
 
-    Raises:
-        KeyError: a name is missing.
-        TypeError, ValueError: a value is of the wrong type or shape; a size must be a whole number of pixels,
-            the matrix 4 x 4 (its last row may be missing) and rigid.
+    KeyError if a name is missing; TypeError or ValueError if a value is of the wrong type or shape: a size
+    must be a whole number of pixels, the matrix 4 x 4 (its last row may be missing) and rigid.
     """
     try:
         matrix = np.asarray(entry["transform_matrix"], dtype=np.float64)

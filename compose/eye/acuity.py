@@ -81,10 +81,8 @@ def resolution_limit(eccentricity: Array, observers: float = 0.5) -> Array:
     """Cut-off in cycles per degree, 0.5 to 64, at which a share of observers no longer sees a grating.
 
     Fitted to people (`limit_sensitivity`); the logarithm of their cut-offs is normally distributed, and
-    spreads with eccentricity up to 20 degrees, beyond which it was not measured.
-
-    Args:
-        observers: share of people who resolve no more, over 0 and under 1.
+    spreads with eccentricity up to 20 degrees, beyond which it was not measured. The share `observers`
+    resolves no more; it is over 0 and under 1.
     """
     eccentricity = np.asarray(eccentricity, dtype=np.float64)
     foveal, per_degree, farthest = _LIMIT_SPREAD
@@ -205,8 +203,7 @@ def detail_steps(
         finest: the cut-off, in cycles per pixel, down to which layer L is required.
         ahead: the same for a viewer who looks straight ahead. Rates follow from it, because they must not
             change with the gaze: a whole layer would pop.
-        finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
-        lowest: coarsest layer that may be drawn.
+        finest_rates, lowest: as in LayerRange (compose.eye.detail).
         fade: fraction of an octave over which a step fades in.
     """
     layers = len(finest_rates)

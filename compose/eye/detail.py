@@ -117,12 +117,8 @@ def detail_map(
 ) -> DetailMap:
     """The detail that a viewer of a display resolves in a frame, shown around its centre, pixel by pixel.
 
-    Args:
-        width, height: frame in pixels.
-        acuity_model: gives cut-offs at eccentricities.
-        fov_b: radius of the full-quality region in percent of the height; its edge is Fov-GS's e0.
-        layers: what may be drawn.
-        saliency: (rows + 1, columns + 1) in 0..1 at the cells' corners; None for none.
+    `fov_b` is the radius of the full-quality region in percent of the height; its edge is Fov-GS's e0.
+    Saliency is (rows + 1, columns + 1) in 0..1 at the cells' corners.
     """
     per_degree, rays = _corners(display, width, height)
     radius, relative = fov_b / 100 * height, acuity_model.relative

@@ -34,8 +34,8 @@ _POWER = 0.8
 def disagreement(arrays: Arrays, denoised: list[Float], splat: list[Float], shape: tuple[int, int]) -> Float:
     """Float (h * w,), worth of further samples: how much two images differ in sRGB, over 5 x 5 pixels.
 
-    Both are three channels of linear radiance, Floats (h * w,), of the shape (h, w), at least one pixel.
-    Where one of them is not a number, nothing is known, and they count as entirely different.
+    Both are three channels (h * w,) of linear radiance, at least one pixel. Where one of them is not a
+    number, nothing is known, and they count as entirely different.
     """
     squares = [dr.square(_srgb(a) - _srgb(b)) for a, b in zip(denoised, splat, strict=True)]
     difference = dr.sum(squares) * (1 / 3)
@@ -72,17 +72,10 @@ def window_sum(arrays: Arrays, image: Float, shape: tuple[int, int], window: int
 def allotted(arrays: Arrays, worth: Float, have: Float, total: int, seed: int) -> int | Counts:
     """Further samples of D pixels, `total` in all, that bring all pixels to what they are worth.
 
-    Pixels that already have more get none; pixels that have none get at least one.
-
-    Args:
-        worth: Float (D,), samples that pixels should have, relative to each other; those whose worth is not
-            finite get as many as any.
-        have: Float (D,), samples that they have.
-        total: 0, or at least D.
-        seed: of the rounding to the whole number below or above a pixel's due, by systematic sampling.
-
-    Returns:
-        One number for all pixels if they get the same, else the number of each.
+    Pixels that already have more get none; pixels that have none get at least one. Worth is samples (D,) that
+    pixels should have, relative to each other; those whose worth is not finite get as many as any. The total
+    is 0, or at least D. The seed is that of the rounding to the whole number below or above a pixel's due, by
+    systematic sampling. One number is returned if all pixels get the same.
     """
     size, wide, UInt = dr.width(have), arrays.plain.Float64, arrays.plain.UInt
     if not total:

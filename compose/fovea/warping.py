@@ -93,16 +93,9 @@ class _Sight:
 def warped(image: DeviceImage, nearness: Float, camera: Camera, newest: Camera) -> DeviceImage:
     """An image of a camera's view as the newest camera sees it; the image itself if the two are equal.
 
-    What lies beyond the image continues its border.
-
-    Args:
-        image: any values, all finite.
-        nearness: Float (rows * columns,), inverse depth along the view axis, 0 or more, of what the camera
-            sees at the centres of the cells of its `grid`, in units of the cameras' positions.
-        camera, newest: the image's, and that of the result, with frames of its size.
-
-    Raises:
-        ValueError: sizes of frames, image and grid do not fit.
+    What lies beyond the image, whose values are all finite, continues its border. `nearness` (rows *
+    columns,) is the inverse depth along the view axis, 0 or more, of what the camera sees at the centres of
+    the cells of its `grid`, in units of the cameras' positions. ValueError if sizes do not fit.
     """
     arrays, size = image.arrays, (camera.width, camera.height)
     rows, columns = grid(camera)

@@ -115,8 +115,7 @@ def fit(
     """A network fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
 
     Examples are of several views, sample counts and enlargements. Same seed, same network on the same
-    machine. Progress is told the steps done and the steps in all. ValueError without examples of a patch's
-    size.
+    machine. `progress` gets the steps done and in all. ValueError without examples of a patch's size.
     """
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")

@@ -260,7 +260,7 @@ def planned_scene(
 
 def overridden(override: list[str] | None) -> dict[str, Value]:
     """Items of a plan that `--set` asks for, by name."""
-    from hybrid.preparation.scene_plan import parsed
+    from hybrid.preparation.decisions import parsed
 
     try:
         return parsed(override or ())

@@ -1,4 +1,4 @@
-"""The decisions of a plan, each with its numbers: paths, colours, layers, samples, region, Gaussians."""
+"""The decisions of a plan, each with its numbers, and what a user may decide instead."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from compose.base.errors import UserError
 from compose.base.traced_samples import DIFFUSE, SPECULAR
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS, DEFAULT_ACUITY_MODEL
@@ -17,6 +18,7 @@ from compose.eye.gaze import Gaze
 from compose.image.colour import LEAST_ERROR, decibels, luminance, srgb_from_radiance
 from hybrid.preparation.scene_look import HALF_SPP, Look
 from hybrid.preparation.stages import Needs
+from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.region.view_coverage import ViewCoverage
 from pathtrace.region.viewing_regions import NEAR, ViewingRegion
@@ -275,3 +277,40 @@ def breadth_of(region: ViewingRegion, surfaces: Surfaces, seed: int) -> float:
         if np.mean([coverage.share(view) for view in askers]) >= _ENOUGH:
             break
     return before / _ORDINARY_VIEWS
+
+
+# Least and greatest whole number that each item may be.
+_NUMBERS = {
+    DEPTH: (1, 1_000_000),
+    ROULETTE: (1, 1_000_000),
+    DEGREE: (0, MAX_DEGREE),
+    LAYERS: (1, 32),
+    GAUSSIANS: (1, 100_000_000),
+    SAMPLES: (1, MOST_SPP),
+}
+_WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
+
+
+def parsed(given: Sequence[str]) -> dict[str, Value]:
+    """Values by name, from texts such as "degree=0"; UserError if there is no such item or value."""
+    found: dict[str, Value] = {}
+    for text in given:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise UserError(f"{text}: must be NAME=VALUE")
+        found[name] = _value(name, value)
+    return found
+
+
+def _value(name: str, value: str) -> Value:
+    if name in _NUMBERS:
+        least, most = _NUMBERS[name]
+        if not value.isascii() or not value.isdigit() or not least <= int(value[:12]) <= most:
+            raise UserError(f"{name}={value}: must be a whole number from {least} to {most}")
+        return int(value)
+    if name in _WORDS:
+        if value not in _WORDS[name]:
+            raise UserError(f"{name}={value}: must be {' or '.join(_WORDS[name])}")
+        return value
+    names = ", ".join((*_NUMBERS, *_WORDS))
+    raise UserError(f"{name}={value}: must be one of {names}; the scene decides all else")

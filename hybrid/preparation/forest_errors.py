@@ -7,7 +7,7 @@ node is corrected by the mean ratio of the errors that were found to those that 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,17 @@ from splat.model.forest import Forest
 from splat.model.gaussians import Blending, Gaussians
 from splat.raster.differentiable import contributions, render_differentiable
 from splat.training.training_view import reduced
+
+
+def finest_shown(forest: Forest) -> Callable[[Camera, float], Image]:
+    """What the finest layer of a forest shows to a camera at a time, (H, W, 3)."""
+    renderer = ForestRenderer(device_arrays(), forest)
+
+    def show(camera: Camera, time: float) -> Image:
+        renderer.set_time(time)
+        return np.array(renderer.render_layer(camera, len(forest.counts)).numpy())
+
+    return show
 
 
 def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
@@ -91,12 +102,11 @@ class Judges:
 
     def quality(self, forest: Forest) -> dict[str, float]:
         """psnr in dB and ssim of the finest layer, means over the views, and least_psnr; empty without."""
-        renderer, found = ForestRenderer(device_arrays(), forest), []
+        show, found = finest_shown(forest), []
         for camera, time, file in zip(self._cameras, self._times, self._files, strict=True):
-            renderer.set_time(time)
             truth = read_frame(file, (camera.width, camera.height)).radiance
             if np.isfinite(truth).all():
-                found.append(quality(renderer.render_layer(camera, len(forest.counts)).numpy(), truth))
+                found.append(quality(show(camera, time), truth))
         return _means(found) | ({"least_psnr": min(row["psnr"] for row in found)} if found else {})
 
 
@@ -114,12 +124,10 @@ _LEAST = 1e-7
 def with_errors(frames: Frames, forest: Forest) -> Forest:
     """The forest with the squared error to expect where each node of its coarsest layer shows."""
     arrays, coarse = device_arrays(), forest.coarsest_alone()
-    renderer = ForestRenderer(arrays, forest)
-    views = []
+    show, views = finest_shown(forest), []
     for camera, time, radiance in _telling(frames):
-        renderer.set_time(time)
-        shown = np.array(renderer.render_layer(camera, len(forest.counts)).numpy())
-        errors = np.square(srgb_from_radiance(shown) - srgb_from_radiance(radiance)).mean(axis=2)
+        difference = srgb_from_radiance(show(camera, time)) - srgb_from_radiance(radiance)
+        errors = np.square(difference).mean(axis=2)
         known = torch.from_numpy(np.nan_to_num(errors, nan=1.0).astype(np.float32))
         height, width = (max(1, side // _POOLED) for side in errors.shape)
         pooled = torch.nn.functional.adaptive_avg_pool2d(known[None], (height, width))[0].numpy()

@@ -25,13 +25,12 @@ from compose.fusion.fitting import (
 from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED
 from compose.fusion.parents import IMAGES, Parents
 from compose.image.colour import Image
-from hybrid.base.compute_device import device_arrays
+from hybrid.preparation.forest_errors import finest_shown
 from hybrid.preparation.training_views import Frames
 from hybrid.render.disc_images import denoised_for_fusion
 from hybrid.render.forest_attachments import attach_fusion, fusion_of
 from pathtrace.dataset.captured_frames import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frame_set import FrameEntry, FrameSet
-from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
 
 # Examples per view in which the sample count varies; smallest and largest size, in pixels, of the patches of
@@ -104,16 +103,13 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
 
     Images with numbers that are not finite are left out: one of them would spoil all weights of the network.
     """
-    renderer = ForestRenderer(device_arrays(), forest)
-    finest = len(forest.counts)
+    show, focal = finest_shown(forest), forest.focal_of(len(forest.counts))
     for number, entry in _usable(frames):
         one, other = (read_radiance(file, entry.size) for file in entry.halves)
         reference = FusionReference(read_frame(entry.file, entry.size).radiance, (one, other))
         if not _is_finite(reference.denoised, one, other):
             continue
-        renderer.set_time(entry.time)
-        splat = np.array(renderer.render_layer(entry.camera, finest).numpy())
-        enlargement = entry.camera.fy / forest.focal_of(finest)
+        splat, enlargement = show(entry.camera, entry.time), entry.camera.fy / focal
         traced = []
         for spp, file in entry.estimates.items():
             found = read_estimate(file, entry.size)

@@ -1,14 +1,13 @@
 """What a scene requires: the plan that follows from a look at it for a few seconds.
 
-It is stored in the cache folder, is a part of frame sets and forests, and a user may decide items instead. A
-picture shows what it follows from.
+It is stored in the cache folder and is part of frame sets and forests. A picture shows what it follows from.
 """
 
 from __future__ import annotations
 
 import io
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,16 +22,7 @@ from compose.image.colour import Image, srgb_from_radiance
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.progress import Bar, Bars, no_bars, no_progress
 from hybrid.preparation.decisions import (
-    DEGREE,
-    DENOISED,
-    DENOISING,
-    FRAME_PRECISION,
     GAUSSIANS,
-    HALF,
-    LAYERS,
-    RAW,
-    SAMPLES,
-    SINGLE,
     Decision,
     Value,
     breadth_of,
@@ -45,11 +35,9 @@ from hybrid.preparation.decisions import (
     sample_decisions,
 )
 from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
-from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region.viewing_regions import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
-from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
-from splat.model.gaussians import MAX_DEGREE
+from pathtrace.scene.scene import DEPTH, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -225,43 +213,6 @@ def _stored(scene: Scene) -> ScenePlan | None:
     plan = ScenePlan(scene.name, scene.own_hash, decisions)
     require_plan(plan.values(), scene, file)
     return plan
-
-
-# Least and greatest whole number that each item may be.
-_NUMBERS = {
-    DEPTH: (1, 1_000_000),
-    ROULETTE: (1, 1_000_000),
-    DEGREE: (0, MAX_DEGREE),
-    LAYERS: (1, 32),
-    GAUSSIANS: (1, 100_000_000),
-    SAMPLES: (1, MOST_SPP),
-}
-_WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
-
-
-def parsed(given: Sequence[str]) -> dict[str, Value]:
-    """Values by name, from texts such as "degree=0"; UserError if there is no such item or value."""
-    found: dict[str, Value] = {}
-    for text in given:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals:
-            raise UserError(f"{text}: must be NAME=VALUE")
-        found[name] = _value(name, value)
-    return found
-
-
-def _value(name: str, value: str) -> Value:
-    if name in _NUMBERS:
-        least, most = _NUMBERS[name]
-        if not value.isascii() or not value.isdigit() or not least <= int(value[:12]) <= most:
-            raise UserError(f"{name}={value}: must be a whole number from {least} to {most}")
-        return int(value)
-    if name in _WORDS:
-        if value not in _WORDS[name]:
-            raise UserError(f"{name}={value}: must be {' or '.join(_WORDS[name])}")
-        return value
-    names = ", ".join((*_NUMBERS, *_WORDS))
-    raise UserError(f"{name}={value}: must be one of {names}; the scene decides all else")
 
 
 def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.preparation.decisions import Decision
-from hybrid.preparation.scene_plan import ScenePlan, overridden, parsed
+from hybrid.preparation.decisions import Decision, parsed
+from hybrid.preparation.scene_plan import ScenePlan, overridden
 
 
 def test_an_item_is_decided_by_the_user():
