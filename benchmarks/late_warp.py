@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import hybrid
-from benchmarks.forest_script import run
+from benchmarks import measure_forest
 from compose.image.colour import decibels
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import INTERACTIVE
@@ -75,4 +75,4 @@ def _error(shown: ShownFrame, expected: ShownFrame) -> float:
 
 
 if __name__ == "__main__":
-    run(__doc__, measured)
+    measure_forest(__doc__, measured)

@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 
 import hybrid
-from benchmarks.forest_script import run
+from benchmarks import measure_forest
 from hybrid.base.compute_device import device_arrays
 from hybrid.evaluation.periphery_bench import display_camera
 from hybrid.measure.image_metrics import psnr
@@ -86,4 +86,4 @@ def _milliseconds(draw: Callable[[int], SplatImage], number: int) -> float:
 
 
 if __name__ == "__main__":
-    run(__doc__, measured)
+    measure_forest(__doc__, measured)

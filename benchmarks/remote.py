@@ -28,6 +28,7 @@ from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
 import hybrid  # noqa: F401  (finds LLVM before anything loads one)
+from benchmarks import parser_of, report
 from benchmarks.slow_network import ADDRESSES, DELAY, LOSS, RATE, SPACES, inside, slow_network
 from compose.base.files import json_text
 from compose.camera.camera import Camera, turned
@@ -332,15 +333,12 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     """Measures all of it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("scene")
     parser.add_argument("--forest", type=Path, metavar="FILE")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="N")
     parser.add_argument("--clients", type=int, default=200, metavar="N")
     parser.add_argument("--hostile-seconds", type=float, default=40.0, metavar="N")
-    parser.add_argument("--json", type=Path, metavar="FILE")
     # The part that runs in the client's namespace.
     parser.add_argument("--walk", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -348,10 +346,7 @@ def main() -> None:
         server = Server(f"ws://{ADDRESSES[0]}:{_PORT}", (options.walk / "token").read_text())
         (options.walk / "walk.json").write_text(json_text(walk(server, options.seconds)))
         return
-    text = json_text(measured(options))
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    report(measured(options), options.json)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import hybrid
-from benchmarks.forest_script import run
+from benchmarks import measure_forest
 from compose.camera.camera import Array, Camera, turned
 from compose.camera.coordinate_systems import Place
 from compose.image.colour import decibels, srgb_from_radiance
@@ -159,4 +159,4 @@ def _yawed(pose: Array, degrees: float) -> Array:
 
 
 if __name__ == "__main__":
-    run(__doc__, measured)
+    measure_forest(__doc__, measured)

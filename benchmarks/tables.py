@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,16 @@ def measured(name: str) -> dict[str, Any]:
     return found
 
 
-def result(name: str) -> Any:
+def result(name: str) -> dict[str, Any]:
     """The result of a measurement: what its command writes with --json."""
-    return measured(name)["result"]
+    found: dict[str, Any] = measured(name)["result"]
+    return found
+
+
+def result_rows(name: str) -> list[dict[str, Any]]:
+    """The result of a measurement whose command writes rows."""
+    rows: list[dict[str, Any]] = measured(name)["result"]
+    return rows
 
 
 def filled(text: str) -> str:
@@ -44,19 +51,22 @@ def filled(text: str) -> str:
     return _BLOCK.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)
 
 
-def markdown(header: list[str], rows: list[list[str]]) -> str:
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *rows))
 
 
-def _with_provenance(table: str, *names: str) -> str:
-    """A table after the commands that measured it, and when and where."""
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]], *names: str, below: str = "") -> str:
+    """A table after the commands that measured it, when and where, and what is said below it."""
+    return "\n\n".join([_provenance(*names), markdown(header, rows), *([below] if below else [])])
+
+
+def _provenance(*names: str) -> str:
     first = measured(names[0])
     machine = first["machine"]
     where = machine["gpu"] or f"{machine['cores']} cores of {machine['cpu']}"
     commands = ", ".join(f"`{measured(name)['command']}`" for name in names)
-    return f"{commands}: {where}, {first['date']}.\n\n{table}"
+    return f"{commands}: {where}, {first['date']}."
 
 
 def _range(between: list[float], form: str) -> str:
@@ -71,22 +81,17 @@ def quickstart() -> str:
         f"SSIM {found[name]['ssim']:.3f}"
         for name in ("hybrid", "splats_alone")
     )
+    seconds, ratios = found["seconds"], _range(found["ratio_range"], ".1f")
     times = " / ".join(f"{found[f'{name}_ms']['p50']:.0f}" for name in ("hybrid", "disc", "path_traced"))
     rows = [
-        [
-            "whole job",
-            f"{found['seconds']['total']:.0f} s, {found['seconds']['prepare']:.0f} of them to prepare",
-        ],
+        ["whole job", f"{seconds['total']:.0f} s, {seconds['prepare']:.0f} of them to prepare"],
         ["hybrid frame", ours],
         ["splats alone, same views", splats],
         ["registration error of the splats", f"{found['registration_px']:.3f} px"],
         ["hybrid frame / disc alone / full path tracing, denoised as well", f"{times} ms"],
-        [
-            "hybrid frame against full path tracing",
-            f"{found['ratio']:.1f}x ({_range(found['ratio_range'], '.1f')})",
-        ],
+        ["hybrid frame against full path tracing", f"{found['ratio']:.1f}x ({ratios})"],
     ]
-    return _with_provenance(markdown(["", ""], rows), "quickstart")
+    return _table(["", ""], rows, "quickstart")
 
 
 def _prepared_scenes(*scenes: str) -> str:
@@ -104,7 +109,7 @@ def _prepared_scenes(*scenes: str) -> str:
         for stage in result(name)["curve"]
     ]
     header = ["scene", "after", "Gaussians", "PSNR, dB (worst view)", "SSIM"]
-    return _with_provenance(markdown(header, rows), *names)
+    return _table(header, rows, *names)
 
 
 def resolution(name: str = "resolution") -> str:
@@ -119,26 +124,23 @@ def resolution(name: str = "resolution") -> str:
         ]
         for row in result(name)["rows"]
     ]
-    table = markdown(["size", "hybrid, ms", "full, ms", "ratio", "FPC's ratio"], rows)
-    return _with_provenance(table, name)
+    return _table(["size", "hybrid, ms", "full, ms", "ratio", "FPC's ratio"], rows, name)
 
 
 def radius() -> str:
     """Ratio of full path tracing to hybrid frames by radius and resolution, and where it reaches 1."""
     found = result("radius")
     sizes = [(row["width"], row["height"]) for row in found["break_even"]]
-    by_place = {((row["width"], row["height"]), row["radius"]): row for row in found["rows"]}
-    radii = dict.fromkeys(row["radius"] for row in found["rows"])
-    rows = [[f"{one:g}", *(_of_radius(by_place[size, one]) for size in sizes)] for one in radii]
+    cells: dict[float, list[str]] = {}
+    for row in sorted(found["rows"], key=lambda row: sizes.index((row["width"], row["height"]))):
+        cell = f"{row['ratio']:.2f} ({100 * row['covered']:.0f} %)"
+        cells.setdefault(row["radius"], []).append(cell)
+    rows = [[f"{radius:g}", *own] for radius, own in cells.items()]
     ends = [row["radius"] for row in found["break_even"]]
     rows.append(["as fast up to", *("over 90 %" if end is None else f"{end:.0f} %" for end in ends)])
     rows.append(["FPC, its own scene", *(f"{row['paper']:.0f} %" for row in found["break_even"])])
     header = ["radius, % of the height", *(f"{width}x{height}" for width, height in sizes)]
-    return _with_provenance(markdown(header, rows), "radius")
-
-
-def _of_radius(row: dict[str, Any]) -> str:
-    return f"{row['ratio']:.2f} ({100 * row['covered']:.0f} %)"
+    return _table(header, rows, "radius")
 
 
 def denoiser() -> str:
@@ -155,7 +157,7 @@ def denoiser() -> str:
         for row in found
     ]
     header = ["spp", "fovea", "ms", *(_METRICS[name] for name in metrics)]
-    return _with_provenance(markdown(header, rows), "denoiser")
+    return _table(header, rows, "denoiser")
 
 
 def paths() -> str:
@@ -172,7 +174,7 @@ def paths() -> str:
             ]
             rows.append([name.removeprefix("paths-"), str(disc["spp"]), *both])
     header = ["scene", "spp", "paths in the disc", "paths where needed"]
-    return _with_provenance(markdown(header, rows), *names)
+    return _table(header, rows, *names)
 
 
 _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
@@ -194,8 +196,8 @@ def evaluation() -> str:
         cells = ["" if value is None else f"{value:.{digits}f}" for value, digits in values]
         rows.append([found.label(key), "" if time is None else f"{time:.0f}", *cells])
     header = ["method", "ms", *(f"{region} {_METRICS[metric]}" for region, metric in columns)]
-    table = _with_provenance(markdown(header, rows), "evaluation")
-    return "\n\n".join([table, "\n".join(f"- {line}" for line in verdicts(found.found))])
+    below = "\n".join(f"- {line}" for line in verdicts(found.found))
+    return _table(header, rows, "evaluation", below=below)
 
 
 def integrators() -> str:
@@ -219,7 +221,7 @@ def integrators() -> str:
             )
     header = ["scene", "integrator", "squared error, 1 / 4 spp", "ms", "efficiency"]
     header += ["bias of the mean", "worst block", "95 % of blocks below"]
-    return _with_provenance(markdown(header, rows), "integrator-room", "integrator-staircase2")
+    return _table(header, rows, "integrator-room", "integrator-staircase2")
 
 
 def periphery() -> str:
@@ -234,10 +236,10 @@ def periphery() -> str:
             "" if row["jod"] is None else f"{row['jod']:.2f}",
             f"{row['ssim']:.4f}",
         ]
-        for row in result("periphery")
+        for row in result_rows("periphery")
     ]
     header = ["gaze", "acuity model", "ms, camera still", "ms, camera moving", "nodes", "JOD", "SSIM"]
-    return _with_provenance(markdown(header, rows), "periphery")
+    return _table(header, rows, "periphery")
 
 
 def levels() -> str:
@@ -256,13 +258,12 @@ def levels() -> str:
     before, after = (f"{found[name]:.1f}" for name in ("before_db", "after_db"))
     fit = f"`hybrid levels` took {found['fit_seconds']:.0f} s for {found['steps']:,} steps, which brought "
     fit += f"{before} to {after} dB in views and cuts that it was not fitted to yet."
-    table = markdown(["drawn", "Gaussians", "ms", "PSNR, dB", "JOD"], rows)
-    return _with_provenance(f"{table}\n\n{fit}", "levels")
+    return _table(["drawn", "Gaussians", "ms", "PSNR, dB", "JOD"], rows, "levels", below=fit)
 
 
 def frames(name: str = "frame") -> str:
     """Whole frames: wall clock, kernels, launches, bytes on the host."""
-    found = result(name)
+    found = result_rows(name)
     sizes = dict.fromkeys((row["width"], row["height"]) for row in found)
     rows = []
     for width, height in sizes:
@@ -281,7 +282,7 @@ def frames(name: str = "frame") -> str:
                 ]
             )
     header = ["size", "fovea", "wall, ms, p50 / p95", "kernels, ms", "launches", "host, MB"]
-    return _with_provenance(markdown(header, rows), name)
+    return _table(header, rows, name)
 
 
 def acuity() -> str:
@@ -296,7 +297,7 @@ def acuity() -> str:
     header += [*(f"error at {10 * place}" for place in range(3)), "rms"]
     rms = found["left_one_out"]["rms"]
     left_out = f"Each person against `resolution-limit` fitted to all others: {rms:.3f} octaves."
-    return _with_provenance(f"{markdown(header, rows)}\n\n{left_out}", "acuity")
+    return _table(header, rows, "acuity", below=left_out)
 
 
 def studies() -> str:
@@ -334,7 +335,7 @@ def studies() -> str:
             for name, row in found["published"].items()
         ],
     )
-    return _with_provenance(f"{timing}\n\n{coverage}\n\n{published}", "studies")
+    return "\n\n".join([_provenance("studies"), timing, coverage, published])
 
 
 def stored() -> str:
@@ -358,7 +359,7 @@ def stored() -> str:
         f"As other viewers show them, against the forest's own pictures: {found['fitted_psnr']:.1f} dB; "
         f"{found['as_trained_psnr']:.1f} dB without the fit."
     )
-    return _with_provenance(f"{markdown(header, rows)}\n\n{what}", "stored")
+    return _table(header, rows, "stored", below=what)
 
 
 def colmap() -> str:
@@ -370,7 +371,7 @@ def colmap() -> str:
         ["focal lengths and principal points", "exact" if found["lens"] == 0 else f"{found['lens']:.1g} px"],
         ["pictures against radiance on the sRGB curve, 256ths", f"{found['picture_256ths']:.2f}"],
     ]
-    return _with_provenance(markdown(["", ""], rows), "stored")
+    return _table(["", ""], rows, "stored")
 
 
 def raster() -> str:
@@ -380,7 +381,7 @@ def raster() -> str:
         [name, f"{found[f'{name}_ms']['p50']:.1f}", f"{found[f'{name}_ms']['p95']:.1f}"]
         for name in ("forward", "backward")
     ]
-    return _with_provenance(markdown(["", "median, ms", "p95, ms"], rows), "raster")
+    return _table(["", "median, ms", "p95, ms"], rows, "raster")
 
 
 def window() -> str:
@@ -396,7 +397,7 @@ def window() -> str:
         for shell, runs in found["runs"].items()
     ]
     header = ["window", "size", "FPS, median of each run", "mouse to screen, ms, p50 / p95 of each run"]
-    return _with_provenance(markdown(header, rows), "window")
+    return _table(header, rows, "window")
 
 
 def late_warp() -> str:
@@ -410,47 +411,38 @@ def late_warp() -> str:
         for row in result("late-warp")["rows"]
     ]
     header = ["movement", "size", "late, dB", "warped, dB", "warp, ms"]
-    return _with_provenance(markdown(header, rows), "late-warp")
+    return _table(header, rows, "late-warp")
 
 
 def remote() -> str:
     """What masks cost and show over a slow network, and what hostile clients do to the server."""
     found = result("remote")
     network, walk, many = (found[name] for name in ("network", "walk", "many"))
+    age, lost = walk["age_ms"], walk["jod_lost_against_finest"]
+    alone, beside = (many[f"{name}_per_s"]["mean"] for name in ("alone", "beside_hostile"))
     slow = f"{network['mbit_per_s']:.0f} Mbit/s, {network['ms_each_way']:.0f} ms each way, "
     rows = [
         ["network", slow + f"{network['loss']:.0%} loss"],
         ["masks per second, frames", f"{walk['masks_per_s']:.0f}, {walk['frames']:,}"],
         ["Mbit/s of masks", f"{walk['mbit_per_s']:.2f}"],
-        [
-            "age of the mask in use, ms, p50 / p99",
-            f"{walk['age_ms']['p50']:.0f} / {walk['age_ms']['p99']:.0f}",
-        ],
+        ["age of the mask in use, ms, p50 / p99", f"{age['p50']:.0f} / {age['p99']:.0f}"],
         ["frames with holes", str(walk["holes"])],
-        ["JOD lost against local cuts, mean / most", _jod_lost(walk)],
+        ["JOD lost against local cuts, mean / most", f"{lost['mean']:.3f} / {lost['most']:.3f}"],
         ["clients, half of them hostile; seconds", f"{many['clients']}; {many['seconds']:.0f}"],
         [
             "masks per second of an honest one, of as many views: alone / beside the hostile",
-            f"{many['alone_per_s']['mean']:.2f} / {many['beside_hostile_per_s']['mean']:.2f} "
-            f"of {many['asked_per_s']:.0f}",
+            f"{alone:.2f} / {beside:.2f} of {many['asked_per_s']:.0f}",
         ],
-        ["honest clients lost, clients let in without the token", _let_in(many)],
-        ["server's memory, MiB: alone, most; growth per minute", _memory(many)],
+        [
+            "honest clients lost, clients let in without the token",
+            f"{many['honest_lost']}, {many['admitted_without_token']}",
+        ],
+        [
+            "server's memory, MiB: alone, most; growth per minute",
+            f"{many['mib_alone']:.0f}, {many['mib_most']:.0f}; {many['mib_per_minute']:+.1f}",
+        ],
     ]
-    return _with_provenance(markdown(["", ""], rows), "remote")
-
-
-def _jod_lost(walk: dict[str, Any]) -> str:
-    lost = walk["jod_lost_against_finest"]
-    return f"{lost['mean']:.3f} / {lost['most']:.3f}"
-
-
-def _let_in(many: dict[str, Any]) -> str:
-    return f"{many['honest_lost']}, {many['admitted_without_token']}"
-
-
-def _memory(many: dict[str, Any]) -> str:
-    return f"{many['mib_alone']:.0f}, {many['mib_most']:.0f}; {many['mib_per_minute']:+.1f}"
+    return _table(["", ""], rows, "remote")
 
 
 def headlines() -> str:
@@ -474,8 +466,7 @@ def _break_even() -> tuple[str, str]:
 
 
 def _against_baselines() -> tuple[str, str]:
-    from hybrid.evaluation.result_keys import OURS_KEY
-    from hybrid.evaluation.results import Results
+    from hybrid.evaluation.results import OURS_KEY, Results
 
     found = Results(result("evaluation"))
     texts = []
@@ -490,22 +481,18 @@ def _against_baselines() -> tuple[str, str]:
         texts.append(
             f"{region} {metric.upper()} {ours:{form}}, best baseline ({best.method}) {known[best]:{form}}"
         )
-    return "`room`, 512x512, means over the views: a fused frame against baselines at equal time", "; ".join(
-        texts
-    )
+    what = "`room`, 512x512, means over the views: a fused frame against baselines at equal time"
+    return what, "; ".join(texts)
 
 
 def _fused() -> tuple[str, str]:
     rows = {(row["spp"], row["fovea"]): row["quality"]["foveal psnr"] for row in result("denoiser")["rows"]}
     gains = [
         f"{rows[spp, 'fused'] - rows[spp, 'denoised']:+.1f} dB at {spp} spp"
-        for spp, mode in rows
-        if mode == "raw"
+        for spp in dict.fromkeys(spp for spp, _ in rows)
     ]
-    return (
-        "the same, three unseen views: a fused fovea against a denoised one, over a draft forest",
-        ", ".join(gains),
-    )
+    what = "the same, three unseen views: a fused fovea against a denoised one, over a draft forest"
+    return what, ", ".join(gains)
 
 
 def _window() -> tuple[str, str]:
@@ -528,7 +515,7 @@ def _prepared() -> tuple[str, str]:
 
 
 def _periphery() -> tuple[str, str]:
-    row = next(row for row in result("periphery") if row["acuity_model"] == DEFAULT_ACUITY_MODEL)
+    row = next(row for row in result_rows("periphery") if row["acuity_model"] == DEFAULT_ACUITY_MODEL)
     quality = "" if row["jod"] is None else f" ({row['jod']:.2f} JOD)"
     full, ours = (f"{row[name]['p50']:.0f} ms" for name in ("full_ms", "periphery_ms"))
     text = f"{full} at full detail, {ours}{quality} with `{DEFAULT_ACUITY_MODEL}`"
@@ -548,10 +535,8 @@ def _integrator() -> tuple[str, str]:
 
 
 def _registration() -> tuple[str, str]:
-    return (
-        "registration of splats with the path-traced frame",
-        f"{result('quickstart')['registration_px']:.2f} px",
-    )
+    figure = f"{result('quickstart')['registration_px']:.2f} px"
+    return "registration of splats with the path-traced frame", figure
 
 
 def _rasterizer() -> tuple[str, str]:
@@ -561,13 +546,11 @@ def _rasterizer() -> tuple[str, str]:
 
 
 def _card() -> tuple[str, str]:
-    rows = {(row["width"], row["mode"], row["live"]): row["wall_ms"]["p50"] for row in result("card-frame")}
+    found = measured("card-frame")
+    rows = {(row["width"], row["mode"], row["live"]): row["wall_ms"]["p50"] for row in found["result"]}
     text = f"{rows[1920, 'fused', False]:.0f} ms, in the window {rows[1920, 'fused', True]:.0f} ms"
-    card = measured("card-frame")["machine"]["gpu"]
-    return (
-        f"fused frame of `room`, 1920x1080, 1 spp, on a card ({card}, {measured('card-frame')['date']})",
-        text,
-    )
+    card = f"{found['machine']['gpu']}, {found['date']}"
+    return f"fused frame of `room`, 1920x1080, 1 spp, on a card ({card})", text
 
 
 _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
@@ -575,20 +558,8 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
     *(_periphery, _integrator, _registration, _rasterizer, _card),
 )
 _MADE = (
-    *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators),
-    *(
-        periphery,
-        levels,
-        acuity,
-        studies,
-        frames,
-        raster,
-        window,
-        late_warp,
-        remote,
-        stored,
-        colmap,
-    ),
+    *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators, periphery, levels),
+    *(acuity, studies, frames, raster, window, late_warp, remote, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

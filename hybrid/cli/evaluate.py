@@ -62,10 +62,9 @@ def evaluate(
     settings.require_measurable()
     o.check_writable(report / "index.html")
     o.select(backend)
-    from hybrid.api.evaluation_report import evaluate as run
+    from hybrid.api.workflow import evaluate as run
     from hybrid.base.identity import require_scene
-    from hybrid.evaluation.result_keys import HALVES_KEY
-    from hybrid.evaluation.results import Results, verdicts
+    from hybrid.evaluation.results import HALVES_KEY, Results, verdicts
     from hybrid.measure.frame_quality import missing
     from hybrid.preparation.preparation import with_forest
     from hybrid.render.forest_attachments import scene_as_trained

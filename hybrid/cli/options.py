@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from compose.base.errors import MOST_SEED, UserError
-from compose.base.files import json_text, write_whole
+from compose.base.files import json_text, write_text
 from compose.camera.camera import Camera
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_LEVEL, MOST_SPP, FrameSettings
@@ -290,8 +290,7 @@ def require_size(size: tuple[int, int], least: int = 1) -> None:
         raise UserError(f"--size {size[0]} {size[1]}: must be at most {_MOST_SIDE} each")
 
 
-def write_json(path: Path | None, content: Any) -> None:
+def write_json(path: Path | None, content: object) -> None:
     """Writes what was measured, if `--json` asks for it; the file appears whole or not at all."""
     if path is not None:
-        text = json_text(content)
-        write_whole(path, lambda part: part.write_text(text))
+        write_text(path, json_text(content))

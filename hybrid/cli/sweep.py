@@ -98,7 +98,7 @@ def sweep(
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:
     """The table, with quality if it was measured, and where hybrid frames break even."""
-    from hybrid.evaluation.sweep_tables import quality_cells, sentence, table
+    from hybrid.evaluation.sweep_catalogue import quality_cells, sentence, table
 
     rows = content["rows"]
     made = "" if "fovea" in rows[0] else f", {settings.fovea.value} fovea"

@@ -14,7 +14,7 @@ from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode, Foveation
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import FullTrace
+from hybrid.evaluation.methods import FullTrace
 from hybrid.measure.frame_times import (
     REACH,
     gaze_path,

@@ -14,13 +14,12 @@ import numpy as np
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import Tuning, families
-from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time
+from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone
-from hybrid.evaluation.result_keys import (
+from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone, Tuning, families
+from hybrid.evaluation.results import (
     EQUAL_RAYS,
     EQUAL_TIME,
     FIXED,
@@ -28,6 +27,7 @@ from hybrid.evaluation.result_keys import (
     HALVES_KEY,
     OURS,
     OURS_KEY,
+    TOLERANCE,
     Key,
     flip_name,
     image_name,
@@ -41,8 +41,8 @@ from hybrid.measure.frame_times import (
     percentiles,
     ratio_of_medians,
 )
+from hybrid.measure.image_metrics import ImageRegion, regions
 from hybrid.measure.reference import Reference
-from hybrid.measure.regions import ImageRegion, regions
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.image_files import write_png
 from pathtrace.trace.tracer import Tracer

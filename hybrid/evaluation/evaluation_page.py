@@ -14,14 +14,22 @@ from PIL import Image as PillowImage
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import read_json, write_whole
-from hybrid.evaluation.equal_cost import TOLERANCE
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE
-from hybrid.evaluation.result_keys import HALVES_KEY, OURS_KEY, Key, flip_name, image_name
 from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot, sweep_plots
-from hybrid.evaluation.results import WHOLE_METRIC, Results, verdicts
-from hybrid.evaluation.sweep_tables import quality_cells, sentence, table, with_range
+from hybrid.evaluation.results import (
+    HALVES_KEY,
+    OURS_KEY,
+    TOLERANCE,
+    WHOLE_METRIC,
+    Key,
+    Results,
+    flip_name,
+    image_name,
+    verdicts,
+)
+from hybrid.evaluation.sweep_catalogue import quality_cells, sentence, table, with_range
 from hybrid.measure.frame_quality import METRICS, missing
-from hybrid.measure.regions import REGIONS
+from hybrid.measure.image_metrics import REGIONS
 
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 _PERCENTILES = ("p50", "p95", "p99")

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import json_text, read_json, write_whole
+from compose.base.files import json_text, read_json, write_text
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import measured_identity, require_same, short_hash
 from hybrid.measure.perceptual_metrics import INSTALL
@@ -94,8 +94,7 @@ class MeasuredStore:
     def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
         """Stores settings whose quality was measured in a metric; UserError if they cannot be written."""
         rows = [_row(one) for one in measured]
-        text = json_text({"identity": self._identity, "metric": metric, "rows": rows})
-        write_whole(self.file, lambda part: part.write_text(text))
+        write_text(self.file, json_text({"identity": self._identity, "metric": metric, "rows": rows}))
 
     def load(self) -> tuple[str, list[MeasuredSettings]] | None:
         """The stored metric and settings; None if nothing was stored, UserError if the file is damaged."""

@@ -20,15 +20,13 @@ from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import enlarged
 from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.last_frame import LastFrameRenderer
-from hybrid.evaluation.methods import HybridMethod, Method
+from hybrid.evaluation.methods import HybridMethod, Method, enlarged
 from hybrid.measure.frame_times import percentiles, ratio_of_medians
-from hybrid.measure.image_metrics import psnr_of_error, registration_px
+from hybrid.measure.image_metrics import ImageRegion, psnr_of_error, regions, registration_px
 from hybrid.measure.perceptual_metrics import jod_of_video
 from hybrid.measure.reference import REFERENCE_SEED, reference
-from hybrid.measure.regions import ImageRegion, regions
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer

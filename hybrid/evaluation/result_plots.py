@@ -6,10 +6,8 @@ import io
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybrid.evaluation.measured_settings import pareto_front
-from hybrid.evaluation.result_keys import FIXED, OURS, Key
-from hybrid.evaluation.results import METRIC_NAMES, Results
-from hybrid.evaluation.sweep_catalogue import varied
-from hybrid.evaluation.sweep_tables import short
+from hybrid.evaluation.results import FIXED, METRIC_NAMES, OURS, Key, Results
+from hybrid.evaluation.sweep_catalogue import short, varied
 from hybrid.measure.frame_quality import METRICS
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ import numpy as np
 import torch
 
 from compose.image.colour import Image
-from hybrid.evaluation.result_keys import half_name
+from hybrid.evaluation.results import half_name
 from hybrid.measure.frame_quality import Viewer, metric_rows, tie_metrics
+from hybrid.measure.image_metrics import ImageRegion
 from hybrid.measure.perceptual_metrics import flip_map
-from hybrid.measure.regions import ImageRegion
 from hybrid.render.image_files import write_srgb
 
 # Rows of region, metric and value.

@@ -14,10 +14,18 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze, eccentricity
 from compose.image.colour import Image
 from hybrid.base.identity import installed_version
-from hybrid.measure.image_metrics import SSIM_WINDOW, checked_pair, has_valid, psnr, ssim_map, valid_mean
+from hybrid.measure.image_metrics import (
+    REGIONS,
+    SSIM_WINDOW,
+    ImageRegion,
+    checked_pair,
+    has_valid,
+    psnr,
+    ssim_map,
+    valid_mean,
+)
 from hybrid.measure.perceptual_metrics import INSTALL as FOVVIDEOVDP
 from hybrid.measure.perceptual_metrics import flip_map, flip_reach, hdr_flip_map, jod, lpips
-from hybrid.measure.regions import REGIONS, ImageRegion
 
 Map = NDArray[np.float32]
 # Whether higher values are better, in the order of all tables.

@@ -10,8 +10,8 @@ from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from hybrid.evaluation import comparison
-from hybrid.evaluation.baselines import FullTrace
 from hybrid.evaluation.comparison import compare
+from hybrid.evaluation.methods import FullTrace
 from hybrid.render.frame_settings import FrameSettings
 
 
