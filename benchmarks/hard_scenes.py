@@ -152,14 +152,7 @@ def write_gantry(folder: Path) -> None:
     scene.mesh(quad((-8, -10, 0), (16, 0, 0), (0, 17, 0)), diffuse((0.25, 0.23, 0.22)))
     folds = np.linspace(-8, 8, 400)
     heights = np.array([0.0, 7.0])
-    cloth = np.stack(
-        [
-            np.broadcast_to(folds, (2, 400)),
-            np.broadcast_to(6.5 + 0.12 * np.sin(9 * folds), (2, 400)),
-            np.broadcast_to(heights[:, None], (2, 400)),
-        ],
-        -1,
-    )
+    cloth = np.stack(np.broadcast_arrays(folds, 6.5 + 0.12 * np.sin(9 * folds), heights[:, None]), -1)
     scene.mesh(grid(cloth), diffuse((0.35, 0.06, 0.08)))
     scene.mesh(
         merge([box((-6, 0, 0), (6, 6, 0.6)), box((-6, -0.4, 0), (6, 0, 0.3))]), diffuse((0.15, 0.13, 0.12))
@@ -171,7 +164,9 @@ def write_gantry(folder: Path) -> None:
         bars += _truss(np.array([x, 0.5, 0.6]), np.array([x, 0.5, 4.6]))
     bars += _truss(np.array([-5.5, 4.5, 0.6]), np.array([-5.5, 4.5, 5.2]))
     scene.mesh(merge(bars), rough_metal(0.3))
-    scene.mesh(merge([_drums(), _stands(rng)]), diffuse((0.3, 0.3, 0.32)))
+    things = [sphere((x, 3.4, 1.1), 0.35, 24) for x in (-1.2, -0.4, 0.4)]
+    things += [box((2.0, 3.5, 0.6), (3.4, 4.2, 1.7)), box((-3.6, 3.4, 0.6), (-2.4, 4.1, 2.1))]
+    scene.mesh(merge([*things, *_stands(rng)]), diffuse((0.3, 0.3, 0.32)))
     hues = np.array([[3, 0.6, 0.4], [0.5, 1.2, 3], [2.5, 2.2, 1.8], [2.6, 0.5, 2.2]])
     for number in range(390):
         row = ((0.5, 4.3), (2.5, 4.6), (4.5, 4.9))[number % 3]
@@ -205,12 +200,7 @@ def _bar(start: Points, end: Points, radius: float) -> Mesh:
     return tube([start, (start + end) / 2, end], [radius, radius], 3, 8)
 
 
-def _drums() -> Mesh:
-    parts = [sphere((x, 3.4, 1.1), 0.35, 24) for x in (-1.2, -0.4, 0.4)]
-    return merge([*parts, box((2.0, 3.5, 0.6), (3.4, 4.2, 1.7)), box((-3.6, 3.4, 0.6), (-2.4, 4.1, 2.1))])
-
-
-def _stands(rng: np.random.Generator) -> Mesh:
+def _stands(rng: np.random.Generator) -> list[Mesh]:
     """Microphones on thin stands."""
     found = []
     for x in np.linspace(-4.5, 4.5, 9):
@@ -219,7 +209,7 @@ def _stands(rng: np.random.Generator) -> Mesh:
         found += [sphere(np.add(foot, (0, 0, 1.35)), 0.05, 12)]
         ends = (0.3, 0, 0), (-0.15, 0.26, 0), (-0.15, -0.26, 0)
         found += [_bar(foot, np.add(foot, end), 0.012) for end in ends]
-    return merge(found)
+    return found
 
 
 def write_workshop(folder: Path) -> None:
@@ -236,7 +226,10 @@ def write_workshop(folder: Path) -> None:
     walls += [quad((6, 0, 0), (0, 1.5, 0), (0, 0, 3)), quad((6, 3.5, 0), (0, 1.5, 0), (0, 0, 3))]
     walls += [quad((6, 1.5, 0), (0, 2, 0), (0, 0, 0.9)), quad((6, 1.5, 2.3), (0, 2, 0), (0, 0, 0.7))]
     scene.mesh(merge(walls), diffuse("wallpaper.jpg"))
-    scene.mesh(_benches(), diffuse("wood.jpg"))
+    boards = [rounded_box((0.2, 4.25, z), (5.7, 4.75, z + 0.04), 0.01) for z in (0.4, 0.9, 1.4, 1.9, 2.35)]
+    legs = [box((x, y, 0), (x + 0.08, y + 0.08, 0.88)) for x in (2.6, 5.2) for y in (1.4, 3.2)]
+    top = rounded_box((2.4, 1.2, 0.88), (5.5, 3.5, 0.94), 0.02)
+    scene.mesh(merge([*boards, *legs, top]), diffuse("wood.jpg"))
     for number in range(60):
         shelf = number % 5
         low = np.array([rng.uniform(0.3, 5.2), rng.uniform(4.3, 4.6), (0.45, 0.95, 1.45, 1.95, 2.4)[shelf]])
@@ -268,13 +261,6 @@ def write_workshop(folder: Path) -> None:
             '<emitter type="area"><rgb name="radiance" value="60 50 38"/></emitter></shape>'
         )
     scene.close()
-
-
-def _benches() -> Mesh:
-    """Two benches and the boards of the shelves."""
-    boards = [rounded_box((0.2, 4.25, z), (5.7, 4.75, z + 0.04), 0.01) for z in (0.4, 0.9, 1.4, 1.9, 2.35)]
-    legs = [box((x, y, 0), (x + 0.08, y + 0.08, 0.88)) for x in (2.6, 5.2) for y in (1.4, 3.2)]
-    return merge([*boards, *legs, rounded_box((2.4, 1.2, 0.88), (5.5, 3.5, 0.94), 0.02)])
 
 
 def _pegboard(rng: np.random.Generator) -> Mesh:

@@ -6,7 +6,6 @@ python -m benchmarks.levels SCENE --forest FOREST [--json FILE]
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -57,12 +56,17 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
             view = camera.moved_right(number * _STEP)
             return periphery.draw(view, periphery.detail(view, settings, moving=True), region)
 
-        times = [_milliseconds(draw, number) for number in range(-2, _REPEATS)][2:]
+        times = []
+        for number in range(-2, _REPEATS):
+            start = time.perf_counter()
+            draw(number)
+            dr.sync_thread()
+            times.append((time.perf_counter() - start) * 1000)
         drawn = draw(0)
         return {
             "method": method,
             "nodes": drawn.nodes,
-            "ms": float(np.median(times)),
+            "ms": float(np.median(times[2:])),
             "psnr": psnr(drawn.numpy(), truth),
             "jod": jod(drawn.numpy(), truth, settings.display, settings.gaze),
         }
@@ -76,13 +80,6 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
     for level in (1.0, 2.0, 3.0):
         rows.append(row(f"fitted, level {level:g}", continuous["fitted"], replace(_SPLATS, level=level)))
     return {"rows": rows, "fit_seconds": seconds, "steps": _STEPS, "before_db": before, "after_db": after}
-
-
-def _milliseconds(draw: Callable[[int], SplatImage], number: int) -> float:
-    start = time.perf_counter()
-    draw(number)
-    dr.sync_thread()
-    return (time.perf_counter() - start) * 1000
 
 
 if __name__ == "__main__":

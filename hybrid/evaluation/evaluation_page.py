@@ -13,7 +13,7 @@ from markupsafe import Markup
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import read_json, write_whole
+from compose.base.files import read_json, write_text
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE
 from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot, sweep_plots
 from hybrid.evaluation.results import (
@@ -56,10 +56,10 @@ def write_report(folder: Path) -> None:
         **_viewer(results, folder),
         sweeps=[_sweep(sweep) for sweep in sweeps],
     )
-    write_whole(folder / "index.html", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(folder / "index.html", text)
 
 
-def rendered(template: str, **values: Any) -> str:
+def rendered(template: str, **values: object) -> str:
     """A page from a template of this room; values are escaped."""
     templates = Environment(loader=PackageLoader("hybrid.evaluation", "."), autoescape=True)
     return templates.get_template(template).render(**values)
@@ -80,10 +80,10 @@ def evaluated_scene(folder: Path) -> str:
         raise UserError(f"{file}: is damaged ({error}); run hybrid evaluate again") from error
 
 
-def _read(file: Path) -> Any:
+def _read(file: Path) -> dict[str, Any]:
     try:
-        return read_json(file, finite=False)
-    except (OSError, ValueError) as error:
+        return dict(read_json(file, finite=False))
+    except (OSError, ValueError, TypeError) as error:
         raise UserError(f"{file}: is damaged ({one_line(error)}); delete it and make it again") from error
 
 

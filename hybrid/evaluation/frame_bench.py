@@ -39,25 +39,20 @@ _TO_HOST = ("numpy", "to_numpy", "__array__")
 class HostBytes:
     """Counts the bytes that pass through the host while the context is open, and those of the largest array.
 
-    Counted are, whoever causes them:
-
-    - the sizes of all arrays that NumPy allocates on this thread: results and copies, temporary ones
-      included, and what is computed only to be uploaded. It is a sum, not a peak: memory counts each time
-      that it is allocated;
-    - the sizes of arrays of a remote device that become NumPy arrays (`numpy`, `to_numpy`, `__array__`). They
-      are copied by the driver, not by NumPy.
+    These are the sizes of all arrays that NumPy allocates on this thread, temporary ones included, each time
+    that they are, and of arrays of the remote backend, out of the host's reach, that become NumPy arrays.
 
     Not counted are views, such as the NumPy arrays of Dr.Jit's on the CPU; single numbers (`array[0]`);
     uploads of memory that was allocated before, or by torch; and memory of torch, Dr.Jit, Mitsuba and OIDN on
-    the CPU. Arrays of the remote backend lie out of the host's reach.
+    the CPU.
     """
 
-    def __init__(self, remote: Any = dr.JitBackend.CUDA):
+    def __init__(self, remote: dr.JitBackend = dr.JitBackend.CUDA):
         self.count = self.largest = 0
         self._remote = remote
         self._methods = {name: getattr(dr.ArrayBase, name) for name in _TO_HOST}
         self._allocated = 0
-        self._before: Any = None
+        self._before: object = None
 
     def __enter__(self) -> HostBytes:
         allocator = _allocator()
@@ -76,7 +71,7 @@ class HostBytes:
         self.largest = max(self.largest, allocator.largest)
 
     def _counted(self, method: Callable[..., NDArray[Any]]) -> Callable[..., NDArray[Any]]:
-        def counting(array: Any, *args: Any, **options: Any) -> NDArray[Any]:
+        def counting(array: dr.ArrayBase, *args: object, **options: object) -> NDArray[Any]:
             copy = method(array, *args, **options)
             if dr.backend_v(array) == self._remote:
                 self.count += copy.nbytes
@@ -144,7 +139,7 @@ class _Allocator:
         python.Py_IncRef(ctypes.py_object(counting))
         self.handler = capsule(ctypes.addressof(counting), self._NAME, None)
 
-    def _counted(self, allocate: Callable[..., Any], sizes: int, *args: int) -> Any:
+    def _counted(self, allocate: Callable[..., object], sizes: int, *args: int) -> object:
         size = math.prod(args[-sizes:])
         self.allocated += size
         self.largest = max(self.largest, size)

@@ -15,14 +15,13 @@ from scipy.ndimage import binary_dilation
 from compose.base.errors import UserError
 from compose.base.traced_samples import SPECULAR
 from compose.camera.camera import Camera, View
-from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
 from hybrid.base.progress import Steps
 from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.last_frame import LastFrameRenderer
-from hybrid.evaluation.methods import HybridMethod, Method, enlarged
+from hybrid.evaluation.methods import HybridMethod, enlarged
 from hybrid.measure.frame_times import percentiles, ratio_of_medians
 from hybrid.measure.image_metrics import ImageRegion, psnr_of_error, regions, registration_px
 from hybrid.measure.perceptual_metrics import jod_of_video
@@ -158,7 +157,11 @@ class _Found:
         for name, region in found.items():
             self._errors.setdefault(name, []).append(squares[region.mask])
         for name in _AS_VIDEO:
-            score = _video_jod(clip, images, found[name], settings.display)
+            region = found[name]
+            pairs = zip(images, clip.truths, strict=True)
+            seen = [region.alone(image, truth)[region.box] for image, truth in pairs]
+            truths, gaze = [truth[region.box] for truth in clip.truths], region.gaze_within(clip.gaze)
+            score = jod_of_video(seen, truths, _FRAMES_PER_SECOND, settings.display, gaze)
             self._jods.setdefault(name, []).append(score)
         shift = registration_px(images[-1], clip.truths[-1], clip.masks[MOVING])
         self._shifts += [] if shift is None else [shift]
@@ -191,23 +194,26 @@ class _Methods:
             self._splats |= _splats(name, forest)
             if forest.motion is not None and len(forest.counts) > 1:
                 self._selecting[f"{name}, {_LAST_FRAME}"] = LastFrameRenderer(forest)
-        assert settings.camera is not None
-        depth = renderer.depth(settings.camera)
+        camera, _ = settings.resolved(renderer.scene.camera)
+        depth = renderer.depth(camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
-        self._right_eye = settings.camera.moved_right(_BETWEEN_EYES * seen)
-        # Path-traced frames that take as long as the hybrid's; None if none do.
+        self._right_eye = camera.moved_right(_BETWEEN_EYES * seen)
+        self._methods = {HYBRID: self._frame, ALONE: self._fresh_frame}
+        self._methods |= {**self._splats, TWO_EYES: self._both_eyes}
+        # Path-traced frames that take as long as the hybrid's, if any do.
         family = partial(enlarged, renderer.tracer_of(Integrator.CACHED), 1, denoised=True)
-        ours, views = HybridMethod(renderer, settings), [View(settings.camera)]
-        rays = at_equal_time(family, ours, views, settings.gaze, _RAYS)
-        self._traced: Method | None = None if rays is None else family(rays)
+        ours = HybridMethod(renderer, settings)
+        rays = at_equal_time(family, ours, [View(camera)], settings.gaze, _RAYS)
+        if rays is not None:
+            render = family(rays).render
+            self._methods[TRACED] = lambda shown, seed: (
+                render(View(camera, shown.time), shown.gaze, seed).image
+            )
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
         """The clip by each method in turn."""
         self._renderer.forget()
-        methods = {HYBRID: self._frame, ALONE: self._fresh_frame, **self._splats, TWO_EYES: self._both_eyes}
-        if self._traced is not None:
-            methods[TRACED] = partial(self._traced_frame, self._traced)
-        found = {name: self._timed(clip, method) for name, method in methods.items()}
+        found = {name: self._timed(clip, method) for name, method in self._methods.items()}
         return found | {name: self._selected(clip, method) for name, method in self._selecting.items()}
 
     def _timed(
@@ -245,10 +251,6 @@ class _Methods:
         left = self._splats[SPLATS](settings, seed)
         self._splats[SPLATS](replace(settings, camera=self._right_eye), seed)
         return left
-
-    def _traced_frame(self, traced: Method, settings: FrameSettings, seed: int) -> Image:
-        assert settings.camera is not None
-        return traced.render(View(settings.camera, settings.time), settings.gaze, seed).image
 
 
 def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
@@ -311,10 +313,3 @@ def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
     nearest = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
     height, width = moves.shape
     return Gaze((columns[nearest] + 0.5) / width, (rows[nearest] + 0.5) / height)
-
-
-def _video_jod(clip: _Clip, images: Sequence[Image], region: ImageRegion, display: Display) -> float | None:
-    """JOD of a clip as a video, of the box around a region, outside which nothing counts."""
-    seen = [region.alone(image, truth)[region.box] for image, truth in zip(images, clip.truths, strict=True)]
-    truths = [truth[region.box] for truth in clip.truths]
-    return jod_of_video(seen, truths, _FRAMES_PER_SECOND, display, region.gaze_within(clip.gaze))

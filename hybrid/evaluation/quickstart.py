@@ -4,20 +4,33 @@ from __future__ import annotations
 
 import base64
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from compose.base.files import write_whole
+from compose.base.files import write_text
 from compose.camera.camera import View
+from compose.eye.gaze import Gaze
+from compose.fovea.foveation import FoveaMode
 from compose.image.colour import Image
 from hybrid.base.identity import machine
 from hybrid.base.progress import Bars, Steps, no_bars
-from hybrid.evaluation.comparison import compare
 from hybrid.evaluation.evaluation_page import rendered
+from hybrid.evaluation.methods import FullTrace
 from hybrid.evaluation.sweep_catalogue import with_range
+from hybrid.measure.frame_times import (
+    covered,
+    interleaved_passes,
+    jittered_view,
+    medians_by_view,
+    percentiles,
+    ratio_of_medians,
+    reach_for,
+)
 from hybrid.measure.image_metrics import quality, registration_px
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.preparation.held_out import held_out_quality
@@ -37,11 +50,6 @@ SIZE = 512
 # one view of 84 samples per pixel; with more, the whole would take noticeably longer.
 _VIEWS, _REFERENCE_SPP = 3, 28
 _REPEATS, _WARM_UP = 9, 2
-# Entries of the comparison with full path tracing that are reported.
-_TIMES = (
-    *(f"{name}_ms{suffix}" for name in ("hybrid", "path_traced", "disc") for suffix in ("", "_range")),
-    *("ratio", "ratio_range", "ceiling", "covered"),
-)
 
 
 def quickstart(
@@ -80,7 +88,7 @@ def quickstart(
         "splat": {name: held_out[-1][name] for name in ("psnr", "ssim")},
         "layers": held_out,
         **judged_quality(judged),
-        **{key: times[key] for key in _TIMES},
+        **times,
         "gaussians": len(forest.finest),
         "reference_spp": _REFERENCE_SPP,
         "machine": machine(),
@@ -126,6 +134,67 @@ def judged_quality(views: list[tuple[Frame, Image]]) -> dict[str, Any]:
     return found
 
 
+def _timed(method: Callable[[Gaze, int], object], gaze: Gaze, seed: int) -> dict[str, float]:
+    """Milliseconds until a method returns, which it does when its frame is complete."""
+    start = time.perf_counter()
+    method(gaze, seed)
+    return {"total": (time.perf_counter() - start) * 1000}
+
+
+def compare(
+    renderer: Renderer,
+    views: Sequence[View],
+    settings: FrameSettings,
+    repeats: int,
+    warm_up: int,
+    progress: Steps,
+) -> dict[str, Any]:
+    """One row: times of the hybrid frame, of the full path-traced frame, and of the disc alone.
+
+    All three are timed after their kernels have been compiled; the full frame is traced by the same function
+    as the disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame.
+    Frames go through the views, all of one size, in turn. Each has a camera of its own, so that it pays for
+    all it shows.
+
+    Returns:
+        Percentiles hybrid_ms, path_traced_ms and disc_ms over all views, and the least and the greatest
+        median of a view as hybrid_ms_range and so on; their ratios `ratio` (path-traced over hybrid), with
+        `ratio_range`, and `ceiling` (path-traced over disc); and `covered`, the mean fraction of the frame
+        that the disc covers.
+    """
+    is_denoised = settings.fovea is not FoveaMode.RAW
+    full = FullTrace(renderer.tracer_of(settings.used_integrator), settings.spp, is_denoised)
+    camera = views[0].camera
+    reach = reach_for(settings.fov_a, camera)
+
+    def next_view(seed: int, place: int) -> View:
+        """For the method in that place of the three."""
+        return jittered_view(views[seed % len(views)], 3 * seed + place)
+
+    def at(gaze: Gaze, seed: int, place: int) -> FrameSettings:
+        view = next_view(seed, place)
+        return replace(settings, gaze=gaze, camera=view.camera, time=view.time)
+
+    methods: dict[str, Callable[[Gaze, int], object]] = {
+        "hybrid": lambda gaze, seed: renderer.frame(at(gaze, seed, 0), seed),
+        "path_traced": lambda gaze, seed: full.render(next_view(seed, 1), gaze, seed),
+        "disc": lambda gaze, seed: renderer.disc_alone(at(gaze, seed, 2), seed),
+    }
+    timed = [partial(_timed, method) for method in methods.values()]
+    found = interleaved_passes(timed, repeats, warm_up, progress, reach)
+    times = {name: [frame["total"] for frame in frames] for name, frames in zip(methods, found, strict=True)}
+    by_view = {name: medians_by_view(values, len(views)) for name, values in times.items()}
+    ratios = [full / ours for full, ours in zip(by_view["path_traced"], by_view["hybrid"], strict=True)]
+    return {
+        **{f"{name}_ms": percentiles(values) for name, values in times.items()},
+        **{f"{name}_ms_range": (min(medians), max(medians)) for name, medians in by_view.items()},
+        "ratio": ratio_of_medians(times["path_traced"], times["hybrid"]),
+        "ratio_range": (min(ratios), max(ratios)),
+        "ceiling": ratio_of_medians(times["path_traced"], times["disc"]),
+        "covered": covered(settings.fov_a, camera, repeats, reach),
+    }
+
+
 # Name of the PNG file, title and caption.
 _IMAGES = (
     (
@@ -168,7 +237,7 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
         "images show the first of them. Quality is the mean over the views and times are medians of all "
         "their frames; in brackets the least and the greatest value of a view.",
     )
-    write_whole(path, lambda part: part.write_text(page, encoding="utf-8"))
+    write_text(path, page)
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:

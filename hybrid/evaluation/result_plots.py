@@ -181,7 +181,7 @@ def _quality_plot(rows: list[Row], metric: str) -> str:
     return svg_of(axes)
 
 
-def _position(over: str, row: Row) -> Any:
+def _position(over: str, row: Row) -> float | str:
     """Where a row lies on the horizontal axis."""
     if over in _OVER_SIZES:
         return f"{row['width']}x{row['height']}"

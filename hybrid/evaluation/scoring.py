@@ -55,9 +55,7 @@ def score(task: ScoringTask) -> Rows:
 
             # The colours of FLIP's authors.
             write_srgb(task.flip_file, np.asarray(colormaps["magma"](error, bytes=True)[..., :3]))
-    rows: Rows = metric_rows(
-        task.image, task.reference, task.regions, task.viewer, task.method, whole_flip=error
-    )
+    rows: Rows = metric_rows(task.image, task.reference, task.regions, task.viewer, task.method, error)
     for number, half in enumerate(task.halves, 1):
         for row in tie_metrics(task.image, half, task.regions, task.viewer):
             rows.append({**row, "metric": half_name(str(row["metric"]), number)})
@@ -99,12 +97,6 @@ def _start_worker() -> None:
     """Workers ignore SIGINT, which the parent handles, and end with it; each uses one core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Ends this worker when its parent is killed: it would wait for tasks for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    # When the parent is killed, a worker would wait for tasks for ever.
+    if (parent := multiprocessing.parent_process()) is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

@@ -14,18 +14,19 @@ from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import Journal, machine, measured_identity, short_hash
 from hybrid.base.progress import Steps
-from hybrid.evaluation.comparison import covered, reach_for
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
 from hybrid.evaluation.methods import FullTrace, HybridMethod, Method
 from hybrid.evaluation.sweep_catalogue import Setting, Sweep, SweepEffort, break_even, sweep_named
 from hybrid.measure.frame_quality import Viewer, metric_rows, missing
 from hybrid.measure.frame_times import (
+    covered,
     interleaved_passes,
     jittered_view,
     medians_by_view,
     percentiles,
     ratio_interval,
     ratio_of_medians,
+    reach_for,
 )
 from hybrid.measure.image_metrics import ImageRegion, plain_regions
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference

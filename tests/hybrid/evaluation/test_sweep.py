@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hybrid.base.cache_folder import home
-from hybrid.evaluation import baselines as path_traced
+from hybrid.evaluation import methods as path_traced
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation import sweep_run as run_module
 from hybrid.evaluation.methods import HybridMethod
