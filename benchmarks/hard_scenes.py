@@ -201,7 +201,6 @@ def _bar(start: Points, end: Points, radius: float) -> Mesh:
 
 
 def _stands(rng: np.random.Generator) -> list[Mesh]:
-    """Microphones on thin stands."""
     found = []
     for x in np.linspace(-4.5, 4.5, 9):
         foot = np.array([x, rng.uniform(0.8, 2.4), 0.6])
@@ -264,7 +263,6 @@ def write_workshop(folder: Path) -> None:
 
 
 def _pegboard(rng: np.random.Generator) -> Mesh:
-    """Rings and rods that hang on the left wall."""
     found = []
     for y in np.linspace(0.8, 4.0, 20):
         for z in np.linspace(1.0, 2.6, 8):

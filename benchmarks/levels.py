@@ -16,7 +16,7 @@ import numpy as np
 import hybrid
 from benchmarks import measure_forest
 from hybrid.base.compute_device import device_arrays
-from hybrid.evaluation.periphery_bench import display_camera
+from hybrid.evaluation.splat_bench import display_camera
 from hybrid.measure.image_metrics import psnr
 from hybrid.measure.perceptual_metrics import jod
 from hybrid.render.forest_attachments import own_views

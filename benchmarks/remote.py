@@ -138,7 +138,6 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
 
 
 def _number(remote: Remote) -> int:
-    """Number of the newest mask."""
     return remote.cut.number if remote.cut else 0
 
 

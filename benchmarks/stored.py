@@ -119,8 +119,8 @@ def of_colmap(scene: hybrid.Scene, folder: Path) -> dict[str, Any]:
     true = [srgb_from_radiance(read_frame(b.file).radiance) for _, b in pairs]
     size = sum(file.stat().st_size for file in (folder / "colmap").rglob("*") if file.is_file())
     picture = max(float(np.abs(a - b).max()) for a, b in zip(shown, true, strict=True))
-    found = {"images": images, "points": points, "bytes": size}
-    return {**found, "pose": float(pose), "lens": float(lens), "picture_256ths": 256 * picture}
+    facts = {"images": images, "points": points, "bytes": size}
+    return {**facts, "pose": float(pose), "lens": float(lens), "picture_256ths": 256 * picture}
 
 
 def measured(name: str, forest: Path) -> dict[str, Any]:

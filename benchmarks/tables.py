@@ -64,7 +64,6 @@ def markdown(header: str, rows: Iterable[str]) -> str:
 
 
 def _rows(form: str, rows: Iterable[Row]) -> list[str]:
-    """A line of a form for each row."""
     return [form.format_map(row) for row in rows]
 
 

@@ -30,7 +30,7 @@ def raster(
     o.require_size(size)
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.evaluation.raster_bench import bench_raster
+    from hybrid.evaluation.splat_bench import bench_raster
 
     with progress_bar("bench (rounds)") as bar:
         row = bench_raster(gaussians, size, seed, repeats, warm_up=5, progress=bar)
@@ -95,7 +95,7 @@ def periphery(
     settings = FrameSettings(fov_a=fov_b, fov_b=fov_b, display=display)
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.evaluation.periphery_bench import bench_periphery, display_camera
+    from hybrid.evaluation.splat_bench import bench_periphery, display_camera
     from hybrid.measure.perceptual_metrics import INSTALL
     from hybrid.preparation.preparation import with_forest
 

@@ -176,7 +176,6 @@ def demo(
 def _server(
     scene: str | None, server: str | None, token_file: Path | None, authority: Path | None
 ) -> Server | None:
-    """The server that has what is shown; None for a scene that is here."""
     if (scene is None) == (server is None):
         raise UserError("SCENE, --server: name one of them")
     if server is None:

@@ -94,16 +94,15 @@ def evaluate(
     results = Results(found)
     keys = [HALVES_KEY, *results.keys]
     means = {
-        (region, metric): [results.mean(key, region, metric) for key in keys]
+        f"{region[:3]} {metric}": [results.mean(key, region, metric) for key in keys]
         for region in ("foveal", "whole")
         for metric in ("psnr", "ssim", "flip", "jod")
     }
-    columns = {key: values for key, values in means.items() if None not in values}
-    head = "".join(f"{region[:3] + ' ' + metric:>10}" for region, metric in columns)
+    columns = {name: values for name, values in means.items() if None not in values}
     labels = [results.budget_label(key) for key in keys]
     width = max(12, 2 + max(map(len, labels)))
-    print(f"{'method':<34}{'budget':<{width}}{'ms':>6}{head}")
-    for number, key in enumerate(keys):
-        cells = "".join(f"{values[number]:>10.4g}" for values in columns.values())
+    print(f"{'method':<34}{'budget':<{width}}{'ms':>6}" + "".join(f"{name:>10}" for name in columns))
+    for key, label, *values in zip(keys, labels, *columns.values(), strict=True):
         milliseconds = round(results.times[key]) if key in results.times else "-"
-        print(f"{key[0]:<34}{labels[number]:<{width}}{milliseconds:>6}{cells}")
+        cells = "".join(f"{value:>10.4g}" for value in values)
+        print(f"{key.method:<34}{label:<{width}}{milliseconds:>6}{cells}")

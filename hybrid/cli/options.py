@@ -45,7 +45,6 @@ def check_writable(path: Path | None) -> None:
 
 
 def _writable(path: Path | None) -> Path | None:
-    """The file of `--json`; refused before long work if it cannot be written."""
     try:
         check_writable(path)
     except UserError as error:

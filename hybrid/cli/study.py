@@ -180,7 +180,6 @@ def _one_of(option: str, given: str, known: Iterable[str]) -> None:
 
 
 def _text(file: Path | None) -> str:
-    """The text of a file; empty if none is given."""
     from compose.base.errors import reading
 
     if file is None:
@@ -215,7 +214,6 @@ def _rendered(
     conditions: Conditions,
     shown: Presentation,
 ) -> dict[str, list[Clip]]:
-    """The clips of all scenes, rendered with their forests."""
     from hybrid.preparation.preparation import with_forest
     from hybrid.render.frame_renderer import Renderer
     from hybrid.render.irradiance import cache_for

@@ -97,7 +97,6 @@ def sweep(
 
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:
-    """The table, with quality if it was measured, and where hybrid frames break even."""
     from hybrid.evaluation.sweep_catalogue import quality_cells, sentence, table
 
     rows = content["rows"]

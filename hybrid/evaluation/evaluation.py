@@ -143,7 +143,6 @@ class Evaluation:
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 
     def _tuning(self, views: list[View], rays: float, work: WorkProgress) -> Tuning:
-        """Settings of the baselines, found on smaller versions of the views for tuning."""
         settings = self.settings
         size = settings.width // TUNING_REDUCTION, settings.height // TUNING_REDUCTION
         small = [view.resized(*size) for view in views[settings.views :]]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
+from jinja2 import ChoiceLoader, Environment, PackageLoader
 from markupsafe import Markup
 from PIL import Image as PillowImage
 
@@ -59,10 +59,10 @@ def write_report(folder: Path) -> None:
     write_text(folder / "index.html", text)
 
 
-def rendered(template: str, **values: object) -> str:
-    """A page from a template of this room; values are escaped."""
-    templates = Environment(loader=PackageLoader("hybrid.evaluation", "."), autoescape=True)
-    return templates.get_template(template).render(**values)
+def rendered(template: str, room: str = "hybrid.evaluation", **values: object) -> str:
+    """A page from a template of a room; values are escaped."""
+    found = ChoiceLoader([PackageLoader(one, ".") for one in (room, "hybrid.evaluation")])
+    return Environment(loader=found, autoescape=True).get_template(template).render(**values)
 
 
 def evaluated_scene(folder: Path) -> str:
@@ -88,7 +88,6 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _overview(results: Results) -> dict[str, Any]:
-    """Title, verdicts, and what was measured with what."""
     found = results.found
     settings, machine = found["settings"], found["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
@@ -187,7 +186,6 @@ def _data_url(file: Path) -> str:
 
 
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
-    """Title, plots, sentences and table of a sweep."""
     rows, count = sweep["rows"], sweep.get("views", 1)
     columns = sweep_columns(rows)
     fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"

@@ -210,7 +210,6 @@ def bench_frame(
 
 
 def _profile(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
-    """Kernels, launches and bytes of a frame."""
     dr.sync_thread()
     dr.kernel_history_clear()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory), HostBytes() as host:

@@ -126,7 +126,6 @@ def relative_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> d
 
 
 def _block_sums(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over blocks of BLOCK x BLOCK pixels."""
     sums = image.sum(axis=2)
     for axis in (0, 1):
         sums = np.add.reduceat(sums, np.arange(0, image.shape[axis], BLOCK), axis=axis)

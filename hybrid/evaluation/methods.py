@@ -279,7 +279,6 @@ class Enlarged(_PathTraced):
         return image
 
     def _size(self, camera: Camera) -> tuple[int, int]:
-        """Columns and rows that are traced."""
         scale = float(np.sqrt(self.share))
         return max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
 

@@ -198,7 +198,7 @@ class _Methods:
         depth = renderer.depth(camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
         self._right_eye = camera.moved_right(_BETWEEN_EYES * seen)
-        self._methods = {HYBRID: self._frame, ALONE: self._fresh_frame}
+        self._methods: dict[str, _Frame] = {HYBRID: self._frame, ALONE: self._fresh_frame}
         self._methods |= {**self._splats, TWO_EYES: self._both_eyes}
         # Path-traced frames that take as long as the hybrid's, if any do.
         family = partial(enlarged, renderer.tracer_of(Integrator.CACHED), 1, denoised=True)

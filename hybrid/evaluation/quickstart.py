@@ -168,7 +168,6 @@ def compare(
     reach = reach_for(settings.fov_a, camera)
 
     def next_view(seed: int, place: int) -> View:
-        """For the method in that place of the three."""
         return jittered_view(views[seed % len(views)], 3 * seed + place)
 
     def at(gaze: Gaze, seed: int, place: int) -> FrameSettings:
@@ -262,13 +261,11 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _quality(result: dict[str, Any], name: str) -> str:
-    """Mean over the views, and the range if there are several."""
     values, ranges = result[name], result.get(f"{name}_range", {})
     psnr = with_range(values["psnr"], ranges.get("psnr"), ".2f", " dB")
     return f"{psnr}, SSIM {with_range(values['ssim'], ranges.get('ssim'), '.4f')}"
 
 
 def _time(result: dict[str, Any], name: str) -> str:
-    """Median of all frames, the range of the views' medians, and p95."""
     median = with_range(result[name]["p50"], result.get(f"{name}_range"), ".0f", " ms")
     return f"{median}, p95 {result[name]['p95']:.0f} ms"

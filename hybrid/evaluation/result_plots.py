@@ -160,7 +160,6 @@ def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> 
 
 
 def _lines(over: str, rows: list[Row]) -> dict[str, list[Row]]:
-    """Rows of each line by its name."""
     lines: dict[str, list[Row]] = {}
     for row in rows:
         before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
@@ -182,7 +181,6 @@ def _quality_plot(rows: list[Row], metric: str) -> str:
 
 
 def _position(over: str, row: Row) -> float | str:
-    """Where a row lies on the horizontal axis."""
     if over in _OVER_SIZES:
         return f"{row['width']}x{row['height']}"
     value = list(varied(row).values())[-1]

@@ -212,7 +212,6 @@ def _compared(results: Results, region: str, metric: str) -> tuple[str, dict[boo
 
 
 def _counted(outcomes: list[bool | None]) -> str:
-    """In how many views something holds, and in how many that cannot be told."""
     ties = outcomes.count(None)
     open_ = f", too close to tell in {ties}" if ties else ""
     return f"in {outcomes.count(True)} of {len(outcomes)} views{open_}"

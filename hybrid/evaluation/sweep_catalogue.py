@@ -139,7 +139,6 @@ def _sides(size: tuple[int, int]) -> dict[str, Any]:
 
 
 def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Settings:
-    """The frame sizes of one of FPC's tables."""
     return lambda base, views: [
         replace(_with(base, _sides(size), base.frame, size), paper={"ratio": hybrid / full})
         for size, (hybrid, full) in table.items()

@@ -139,7 +139,6 @@ def swept(
 def _group(
     renderer: Renderer, same: list[Setting], with_quality: bool, effort: SweepEffort, progress: Steps
 ) -> list[dict[str, Any]]:
-    """Rows of the same views, which take turns."""
     camera, views = same[0].camera, same[0].seen
     ours = [HybridMethod(renderer, setting.frame) for setting in same]
     # By samples per pixel and whether they are denoised.

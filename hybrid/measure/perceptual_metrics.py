@@ -131,7 +131,6 @@ def jod_of_video(
 
 
 def _is_flat(shown: Image) -> bool:
-    """Whether all pixels of frames (F, H, W, 3) are equal."""
     return bool((shown == shown[0, 0, 0]).all())
 
 
