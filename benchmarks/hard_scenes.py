@@ -279,13 +279,7 @@ _TWIGS, _WIDE, _DEEP = 20, 24.0, 40.0
 
 
 def write_instanced(folder: Path, instances: int, triangles: int) -> None:
-    """Plants on a ground in sun and sky.
-
-    Args:
-        folder: of the scene; it is made.
-        instances: how often plants stand there.
-        triangles: of each of the four kinds of plants, about; at least 3,000.
-    """
+    """So many plants in sun and sky, each of four kinds of about so many triangles, at least 3,000."""
     rng = np.random.default_rng(_INSTANCED_SEED)
     scene = SceneWriter(folder, (0.0, -1.5, 1.7), (0.0, 6.0, 1.3), 60)
     scales = "".join(f'<float name="{name}_scale" value="4"/>' for name in ("sun", "sky"))

@@ -110,8 +110,7 @@ def demo(
     ] = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Look around in a window: the mouse is the gaze, and what is path-traced follows it."""
     o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
@@ -168,9 +167,9 @@ def demo(
 
         run_window(viewer)
     found, summary = viewer.measured()
-    o.write_json(json_file, found)
     if bench is not None:
         print(summary)
+    return found
 
 
 def _server(

@@ -53,8 +53,7 @@ def evaluate(
     sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
     frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
@@ -87,7 +86,6 @@ def evaluate(
             baseline_forest=baseline_forest,
             progress=lambda done, total, what: bar(int(1000 * done / total), 1000, what),
         )
-    o.write_json(json_file, found)
     for line in (*missing(), *verdicts(found), report / "index.html"):
         print(line)
     # Foveal and whole quality of each method, mean over the views, beside its time.
@@ -106,3 +104,4 @@ def evaluate(
         milliseconds = round(results.times[key]) if key in results.times else "-"
         cells = "".join(f"{value:>10.4g}" for value in values)
         print(f"{key.method:<34}{label:<{width}}{milliseconds:>6}{cells}")
+    return found

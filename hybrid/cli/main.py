@@ -9,6 +9,7 @@ import sys
 import typer
 
 from compose.base.errors import UserError
+from hybrid.cli import options as o
 from hybrid.cli.bench import bench_app
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
@@ -45,7 +46,7 @@ for command in (
     evaluate,
     sweep,
 ):
-    app.command()(command)
+    app.command()(o.with_json(command))
 app.command("export")(export_file)
 app.command("import")(import_file)
 app.add_typer(study_app, name="study")

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, wraps
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -192,6 +193,25 @@ NumberPrecision = Annotated[
 Json = Annotated[
     Path | None, run("--json", metavar="FILE", help="Also write the results as JSON.", callback=_writable)
 ]
+
+
+# What a command has measured.
+Measured: TypeAlias = dict[str, Any] | list[dict[str, Any]]
+
+
+def with_json(command: Callable[..., Measured | None]) -> Callable[..., object]:
+    """A command with --json, which writes what the command returns, unless it has that option itself."""
+    own = signature(command, eval_str=True)
+    if "json_file" in own.parameters:
+        return command
+
+    @wraps(command)
+    def run(*, json_file: Path | None, **given: object) -> None:
+        write_json(json_file, command(**given))
+
+    last = Parameter("json_file", Parameter.KEYWORD_ONLY, default=None, annotation=Json)
+    run.__dict__["__signature__"] = own.replace(parameters=[*own.parameters.values(), last])
+    return run
 
 
 def given(context: typer.Context, name: str) -> bool:

@@ -29,8 +29,7 @@ def plan(
     sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Analyse a scene for a few seconds, and decide what it requires of the renderers, and why.
 
     All commands take the newest plan of a scene as their default; those that capture or prepare make it
@@ -59,9 +58,7 @@ def plan(
         print(f"{'':<16}{_shown(row['evidence'])}")
     if picture is not None:
         write_picture(picture, found, found.look)
-    o.write_json(
-        json_file, {"scene": loaded.name, "size": size, "decisions": found.rows(), "machine": machine()}
-    )
+    return {"scene": loaded.name, "size": size, "decisions": found.rows(), "machine": machine()}
 
 
 def _shown(evidence: dict[str, Any]) -> str:
@@ -111,8 +108,7 @@ def prepare(
     ] = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Capture and train in turns, from nothing to a forest; resumes if interrupted."""
     started = time.perf_counter()
     from hybrid.preparation.stages import PreparationSettings
@@ -133,12 +129,12 @@ def prepare(
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)
         facts = {**facts, "forest": str(forest)}
-    o.write_json(json_file, facts)
     limit = "" if facts["limit"] is None else f"; limited by {facts['limit']}"
     print(
         f"{facts['gaussians']:,} Gaussians from {facts['views']} views, whose frames have "
         f"{facts['frame_error_db']:.1f} dB, in {facts['seconds']:.0f} s{limit}"
     )
+    return facts
 
 
 def quickstart(
@@ -153,8 +149,7 @@ def quickstart(
     override: o.Override = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Capture, train, render and measure: the main job, from nothing to images and numbers."""
     settings = FrameSettings(fov_a=fov_a, fov_b=fov_b)
     o.select(backend)
@@ -168,9 +163,9 @@ def quickstart(
         o.planned_scene(scene, None, thin_glass, sensor, override), out, settings, seed, progress_bar
     )
     o.write_json(out / "result.json", result)
-    o.write_json(json_file, result)
     print(
         f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splats_alone']['psnr']:.2f} dB, "
         f"{result['ratio']:.2f} x faster than full path tracing, {result['seconds']['total']:.0f} s in total"
     )
     print(f"Open {out / 'index.html'}")
+    return result

@@ -127,8 +127,7 @@ def render(
     sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace.
 
     A folder of third-party posed images (D-NeRF, nerfstudio, COLMAP, Nerfies, HyperNeRF, NeRF-DS) has no
@@ -180,8 +179,7 @@ def render(
         else:
             settings = replace(settings, camera=shown.camera, time=shown.time)
             facts = render_splats(output, detail, eyes, splats, settings)
-        o.write_json(json_file, {"scene": images.scene_name, **facts})
-        return
+        return {"scene": images.scene_name, **facts}
     from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, max_depth, thin_glass, sensor)
@@ -199,12 +197,9 @@ def render(
     settings.layers_of(len(found.counts))
     o.fill_irradiance(loaded, settings)
     if trace is None:
-        facts = _render_frames(output, detail, eyes, loaded, found, settings, seed)
-    else:
-        facts = _render_video(
-            output, loaded, found, settings, trace.on(settings.display, *pixels), fps or _FPS, seed
-        )
-    o.write_json(json_file, facts)
+        return _render_frames(output, detail, eyes, loaded, found, settings, seed)
+    on_frame = trace.on(settings.display, *pixels)
+    return _render_video(output, loaded, found, settings, on_frame, fps or _FPS, seed)
 
 
 def _check_measured(settings: FrameSettings, max_depth: int | None) -> None:

@@ -55,8 +55,7 @@ def train(
     precision: o.NumberPrecision = Precision.COMPACT,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Train a forest on a frame set; resumes if interrupted.
 
     Also on third-party posed images, without a scene: folders in the layout of NeRF-synthetic, D-NeRF,
@@ -109,12 +108,12 @@ def train(
     facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
     facts["left_out"] = asdict(left_out[0])
     facts["splat"] = {name: rows[-1][name] for name in ("psnr", "ssim") if name in rows[-1]}
-    o.write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for row in rows:
         quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
         print(f"layer {row['layer']}: {row['nodes']:,} nodes{quality}")
     _print_verdicts(verdicts)
+    return {**facts, "iterations": iterations, "seconds": seconds}
 
 
 def _print_verdicts(rows: list[dict[str, Any]]) -> None:
@@ -144,8 +143,7 @@ def levels(
     ] = _STEPS,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Fit the levels of detail that `render --level` and `--gaussians` draw; takes a minute or two.
 
     Gaussians of the finest layer are joined to a tree, and its inner nodes are fitted to pictures of that
@@ -178,7 +176,6 @@ def levels(
         )
     hierarchy, first, last = fitted
     save_forest(target, replace(forest, hierarchy=hierarchy))
-    facts = {"gaussians": len(finest), "inner": len(hierarchy), "psnr_before": first, "psnr": last}
     print(f"{target}: {len(hierarchy):,} inner nodes over {len(finest):,} Gaussians")
     print(f"cuts are {last:.1f} dB from pictures of the finest layer ({first:.1f} before)")
-    o.write_json(json_file, facts)
+    return {"gaussians": len(finest), "inner": len(hierarchy), "psnr_before": first, "psnr": last}

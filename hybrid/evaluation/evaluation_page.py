@@ -27,11 +27,12 @@ from hybrid.evaluation.results import (
     image_name,
     verdicts,
 )
-from hybrid.evaluation.sweep_catalogue import quality_cells, sentence, table, with_range
+from hybrid.evaluation.sweep_catalogue import sentence, table, with_range
 from hybrid.measure.frame_quality import METRICS, missing
 from hybrid.measure.image_metrics import REGIONS
 
-_DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
+# How metrics are shown.
+FORMS = {metric: ".2f" if metric in ("psnr", "jod") else ".4f" for metric in METRICS}
 _PERCENTILES = ("p50", "p95", "p99")
 # Images in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 90
@@ -121,7 +122,7 @@ def quality_table(results: Results, region: str) -> dict[str, Any]:
     rows = []
     for key in [*results.keys, HALVES_KEY]:
         values = [results.mean(key, region, metric) for metric in metrics]
-        cells = ["-" if v is None else f"{v:.{_DIGITS[m]}f}" for v, m in zip(values, metrics, strict=True)]
+        cells = ["-" if v is None else format(v, FORMS[m]) for v, m in zip(values, metrics, strict=True)]
         rows.append(_row(results, key, cells))
     return {"region": region, "metrics": metrics, "rows": rows}
 
@@ -187,7 +188,7 @@ def _data_url(file: Path) -> str:
 
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     rows, count = sweep["rows"], sweep.get("views", 1)
-    columns = sweep_columns(rows)
+    columns = table(rows, FORMS)
     fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
     note = (
         f"Frames of {count} views that nothing was fitted to: times are medians of all their frames, quality "
@@ -204,14 +205,6 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
         "rows": list(zip(*columns.values(), strict=True)),
         "sentences": [sentence(row) for row in sweep["break_even"]],
     }
-
-
-def sweep_columns(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Cells of a sweep by column name, quality included if it was measured."""
-    columns = table(rows)
-    for name in rows[0].get("quality", {}):
-        columns[name] = quality_cells(rows, name, f".{_DIGITS[name.split()[1]]}f")
-    return columns
 
 
 def _markup(plots: Sequence[str | None]) -> list[Markup]:

@@ -176,14 +176,12 @@ def bench_frame(
     """One row per size, fovea mode and renderer; all take turns, the gaze moving and the camera still.
 
     The settings are those of the frames, apart from gaze, mode and size. Warm-up frames come before the
-    `repeats` timed ones, of which each row has a few more afterwards that are profiled. Each frame has the
-    next seed.
+    `repeats` timed ones, profiled ones after them. Each frame has the next seed.
 
-    Rows have mode; live, whether by the renderer of the window or that of single frames; width, height;
-    wall_ms, percentiles of the milliseconds until a frame is complete; launches, median number of operations
-    in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit); kernels_ms, median
-    of the sum of their times; host_bytes, median, as `HostBytes` counts; passes, percentiles of each pass in
-    milliseconds; and backend, llvm or cuda.
+    Rows have mode; live, whether by the renderer of the window; width, height; wall_ms, percentiles of the
+    milliseconds until a frame is complete; passes, those of each pass; backend, llvm or cuda; and medians:
+    launches in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit),
+    kernels_ms, the sum of their times, and host_bytes, as `HostBytes` counts.
     """
     cases = [
         _Case(kind(scene, forest), replace(settings, fovea=mode, camera=scene.camera.resized(*size)))

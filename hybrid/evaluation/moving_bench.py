@@ -77,12 +77,11 @@ def bench_moving(
     UserError if nothing moves in the scene, or if a forest belongs to another one.
 
     Rows have `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame (`p50`,
-    `p95`) and `ratio`, the hybrid's median over the method's. Those of the whole frame and the fovea have
-    `jod`, the mean of the clips as videos, None if FovVideoVDP is not installed; those of what moves have
-    `registration_px`, the median shift of textured windows at least a quarter of which moves, None if there
-    are none. The times of hybrid and path-traced frames include the scene's step of time, those of splats the
-    forest's; with two eyes, both have their image. Path-traced frames are denoised, and of so many pixels
-    that they take as long as the hybrid's; they are left out if the smallest takes longer.
+    `p95`) and `ratio`, the hybrid's median over the method's; those of the whole frame and the fovea `jod`,
+    the mean of the clips as videos; those of what moves `registration_px`, the median shift of textured
+    windows at least a quarter of which moves. Both are None if unknown. Times include the scene's step of
+    time, or the forest's. Path-traced frames are denoised, and of so many pixels that they take as long as
+    the hybrid's; they are left out if the smallest takes longer.
     """
     moving = require_moving(scene)
     camera, _ = settings.resolved(scene.camera)

@@ -151,16 +151,13 @@ def compare(
 ) -> dict[str, Any]:
     """One row: times of the hybrid frame, of the full path-traced frame, and of the disc alone.
 
-    All three are timed after their kernels have been compiled; the full frame is traced by the same function
-    as the disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame.
-    Frames go through the views, all of one size, in turn. Each has a camera of its own, so that it pays for
-    all it shows.
+    The full frame is traced as the disc is, and denoised if that is. The gaze moves only so far that the disc
+    stays in the frame. Frames go through the views, all of one size, in turn, each with a camera of its own,
+    so that it pays for all it shows.
 
-    Returns:
-        Percentiles hybrid_ms, path_traced_ms and disc_ms over all views, and the least and the greatest
-        median of a view as hybrid_ms_range and so on; their ratios `ratio` (path-traced over hybrid), with
-        `ratio_range`, and `ceiling` (path-traced over disc); and `covered`, the mean fraction of the frame
-        that the disc covers.
+    Returns percentiles hybrid_ms, path_traced_ms and disc_ms; hybrid_ms_range and so on, the least and the
+    greatest median of a view; `ratio` (path-traced over hybrid) with `ratio_range`, and `ceiling`
+    (path-traced over disc); and `covered`, the mean fraction of the frame that the disc covers.
     """
     is_denoised = settings.fovea is not FoveaMode.RAW
     full = FullTrace(renderer.tracer_of(settings.used_integrator), settings.spp, is_denoised)

@@ -136,15 +136,16 @@ def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> 
 
     Foveated Path Culling's (FPC's) ratios are hollow points beside ours, or where it breaks even.
     """
+    lines: dict[str, list[Row]] = {}
+    for row in rows:
+        before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
+        lines.setdefault(", ".join(f"{name} {short(value)}" for name, value in before), []).append(row)
     axes = new_axes()
-    for name, line in _lines(over, rows).items():
+    for name, line in lines.items():
         positions, ratios = [_position(over, row) for row in line], [row["ratio"] for row in line]
         (drawn,) = axes.plot(positions, ratios, "o-", ms=4, label=name or "this project")
-        known = [
-            (position, row["paper"]["ratio"])
-            for position, row in zip(positions, line, strict=True)
-            if "ratio" in row.get("paper", {})
-        ]
+        papers = [row.get("paper", {}).get("ratio") for row in line]
+        known = [(x, ratio) for x, ratio in zip(positions, papers, strict=True) if ratio is not None]
         if known:
             axes.plot(*zip(*known, strict=True), "o--", mfc="none", color=drawn.get_color(), label="FPC")
     colours = [line.get_color() for line in axes.lines]
@@ -157,14 +158,6 @@ def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> 
     axes.set_ylabel("times faster than full path tracing")
     axes.legend(frameon=False, fontsize=7)
     return svg_of(axes)
-
-
-def _lines(over: str, rows: list[Row]) -> dict[str, list[Row]]:
-    lines: dict[str, list[Row]] = {}
-    for row in rows:
-        before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
-        lines.setdefault(", ".join(f"{name} {short(value)}" for name, value in before), []).append(row)
-    return lines
 
 
 def _quality_plot(rows: list[Row], metric: str) -> str:

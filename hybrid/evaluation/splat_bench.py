@@ -111,12 +111,10 @@ def bench_periphery(
 ) -> list[dict[str, Any]]:
     """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 
-    A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints depend
-    on the camera alone and are kept while it stands still; saliency is kept as in the window, where a moving
-    camera has that of an earlier view which showed nearly the same. Rows have percentiles of periphery_ms and
-    full_ms, with a still camera, and of moving_ms and moving_full_ms, with another camera in each pass; their
-    ratios (full over periphery); and jod and ssim against a frame that differs only in having a full
-    periphery.
+    A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints and
+    saliency are kept as in the window. Rows have percentiles of periphery_ms and full_ms, with a still
+    camera, and of moving_ms and moving_full_ms, with another camera in each pass; their ratios (full over
+    periphery); and jod and ssim against a frame that differs only in having a full periphery.
     """
     models = [replace(settings, acuity_model=name) for name in ACUITY_MODELS]
     # One per model, so that none reuses what another one has kept.

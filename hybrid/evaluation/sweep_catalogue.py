@@ -5,7 +5,7 @@ Many repeat tables and figures of Foveated Path Culling (FPC).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -275,8 +275,11 @@ def sweep_named(name: str, counts: tuple[int, ...]) -> Sweep:
     return known[name]
 
 
-def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Cells of a sweep's rows by column name, without quality; columns that no row has are left out."""
+def table(rows: list[dict[str, Any]], forms: Mapping[str, str] | None = None) -> dict[str, list[str]]:
+    """Cells of a sweep's rows by column name; columns that no row has are left out.
+
+    The forms are those of the metrics that are shown, by name.
+    """
     columns = {name: [short(row[name]) for row in rows] for name in varied(rows[0])}
     columns["covered, %"] = [f"{100 * row['covered']:.1f}" if "covered" in row else "-" for row in rows]
     columns["ms"] = [with_range(row["ms"]["p50"], row.get("ms_range"), ".0f") for row in rows]
@@ -285,6 +288,11 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
     for key, name in (("ratio", "ratio"), ("ratio_1spp", "ratio to 1 spp")):
         columns[name] = _ratios(rows, key)
         columns[f"FPC's {name}"] = _ratios(papers, key)
+    for name in rows[0].get("quality", {}):
+        if form := (forms or {}).get(name.split()[1]):
+            columns[name] = [
+                with_range(row["quality"][name], row.get("quality_range", {}).get(name), form) for row in rows
+            ]
     return {name: cells for name, cells in columns.items() if set(cells) != {"-"}}
 
 
@@ -292,13 +300,6 @@ def with_range(value: float, between: Sequence[float] | None, format_spec: str, 
     """A mean or median over views with the least and the greatest value of a view, if there are several."""
     cell = format(value, format_spec) + unit
     return cell if between is None else f"{cell} ({'–'.join(format(end, format_spec) for end in between)})"
-
-
-def quality_cells(rows: list[dict[str, Any]], name: str, format_spec: str) -> list[str]:
-    """Cells of a metric of one region, such as "foveal jod"."""
-    return [
-        with_range(row["quality"][name], row.get("quality_range", {}).get(name), format_spec) for row in rows
-    ]
 
 
 def _ratios(rows: list[dict[str, Any]], name: str) -> list[str]:
@@ -314,8 +315,7 @@ def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Where hybrid and full path-traced frames take equally long, for each resolution of a radius sweep.
 
     `radius` is where the ratio of medians falls below 1, `slower_from` where its whole confidence interval
-    does: a disc that covers nearly all of the frame takes nearly as long as the full frame, so that the two
-    differ by less than can be measured. Both are None if that happens at no measured radius.
+    does; None if that happens at no measured radius.
     """
     found = []
     for size in dict.fromkeys((row["width"], row["height"]) for row in rows):

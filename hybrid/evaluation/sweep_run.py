@@ -56,9 +56,9 @@ def sweep(
 ) -> dict[str, Any]:
     """Times hybrid frames and full path tracing in turns, over one quantity, from a base setting.
 
-    Frames are timed, and their quality is measured, in three views that nothing was fitted to; the scene's
-    own view is one of those that splats are trained on. A row of the sweep over views is one such view. The
-    result is written before the intermediate results are deleted. Progress counts in thousandths of a row.
+    Frames are timed, and their quality is measured, in three views that nothing was fitted to; a row of the
+    sweep over views is one such view. The result is written before the intermediate results are deleted.
+    Progress counts in thousandths of a row.
 
     Returns scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the
     sweep over the radius), the settings that all rows have in common, and machine. UserError if there is no
@@ -112,13 +112,10 @@ def swept(
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
     denoised where the fovea is. Their gazes follow the same path, on which the largest of their discs stays
     in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Frames go through the
-    views of a row in turn, and each has a camera of its own, so that frames reuse nothing. `ms_range`,
-    `ratio_range` and `quality_range` are the least and the greatest value over the views, of medians where
-    times are concerned. `ratio_1spp` is the ratio to the full frame at one sample per pixel, if a setting
-    asks for it. Quality is measured with the gaze at the centre.
-
-    Rows that the journal holds are not measured again. UserError, before anything is measured, if a region
-    whose quality is measured is empty.
+    views of a row in turn, each with a camera of its own, so that frames reuse nothing. `ms_range`,
+    `ratio_range` and `quality_range` are those of the views' medians and values. `ratio_1spp` is the ratio to
+    the full frame at one sample per pixel. Quality is measured with the gaze at the centre. UserError, before
+    anything is measured, if a region whose quality is measured is empty.
     """
     if with_quality:
         for setting in settings:

@@ -66,10 +66,9 @@ def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
 def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
     """How far the gaze may move from the centre so that a disc covers about as much as it does there.
 
-    Along an axis on which the disc, of a radius in percent of the height, fits into the frame, the gaze moves
-    until the disc touches the edge. Along an axis on which it does not fit, moving loses more on one side
-    than it gains on the other; there the gaze moves so little that less than half a percent of the covered
-    pixels is lost. The result is for `gaze_path`, in fractions of the frame's width and height.
+    Along an axis on which the disc, of a radius in percent of the height, fits into the frame, that is until
+    it touches the edge; along others so little that less than half a percent of the covered pixels is lost.
+    The result is for `gaze_path`, in fractions of the frame's width and height.
     """
     pixels = radius / 100 * camera.height
     across, down = (
@@ -95,9 +94,8 @@ def path_around(gaze: Gaze, count: int) -> list[Gaze]:
 def jittered_view(view: View, number: int) -> View:
     """The view, turned about the camera's vertical axis by too little to be visible.
 
-    Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
-    own pays for everything, as every frame does while the viewer moves. A thousand consecutive numbers of
-    frames give different keys, all different from the camera's own.
+    A frame that is timed with a camera of its own pays for everything, as every frame does while the viewer
+    moves. A thousand consecutive numbers of frames give different keys, and none is the camera's own.
     """
     angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
     turn = np.eye(4)

@@ -154,9 +154,8 @@ def _pyfvvdp() -> ModuleType:
     """The package, also in a process that has imported pip.
 
     Wheels that complete their installation when Python first starts (LLVM's does) import pip. Before
-    Python 3.12, setuptools then stops supplying `distutils` and fails on its own check; setuptools is
-    imported by torch's benchmarks, and those by pyfvvdp. Asking for the `distutils` of the standard
-    library skips the check.
+    Python 3.12, setuptools, which torch and so pyfvvdp imports, then fails on its own check of `distutils`.
+    Asking for that of the standard library skips the check.
     """
     if "pip" not in sys.modules or sys.version_info >= (3, 12) or "SETUPTOOLS_USE_DISTUTILS" in os.environ:
         import pyfvvdp
