@@ -9,7 +9,6 @@ contrast sensitivities of 18 studies (Ashraf et al. 2024).
 
 from __future__ import annotations
 
-import argparse
 import csv
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from compose.base.files import json_text
+from benchmarks import parser_of, report
 from compose.eye.acuity import ACUITY_MODELS, limit_sensitivity
 
 Array = NDArray[np.float64]
@@ -174,11 +173,8 @@ def compared(cutoffs: Cutoffs, errors: Array) -> dict[str, Any]:
 
 def main() -> None:
     """Fits, prints what was found, and writes it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     cutoffs, sensitivities = load_cutoffs(options.folder), load_sensitivities(options.folder)
     parameters, factors = fit(cutoffs, sensitivities)
@@ -203,10 +199,7 @@ def main() -> None:
             for number, name in enumerate(sensitivities.names)
         },
     }
-    text = json_text(found)
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    report(found, options.json)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
-"""Writes three scenes that are not rooms: a grove of leaves, a stage under trusses, a cluttered workshop.
+"""Writes scenes that are not rooms: by default a grove, a stage under trusses, and a cluttered workshop.
 
-    python -m benchmarks.hard_scenes FOLDER
+    python -m benchmarks.hard_scenes FOLDER [NAME ...]
 
-They are made from numbers and the pictures of `scenes/write_scenes.py`; a fixed seed makes every run write
-the same. Units are metres, z points up.
+Further ones, of instances, are a thicket of 1,143 small plants and a plantation of 12 million triangles. They
+are made from numbers and the pictures of `scenes/write_scenes.py`; a fixed seed makes every run write the
+same. Units are metres, z points up.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +32,9 @@ from scenes.write_scenes import (
 )
 
 Points = NDArray[np.float64]
-_SEED = 11
+_SEED, _INSTANCED_SEED = 11, 5
+# Colours of leaves.
+_GREENS = ((0.12, 0.3, 0.06), (0.2, 0.36, 0.08), (0.32, 0.3, 0.07), (0.08, 0.22, 0.07))
 
 
 class SceneWriter:
@@ -119,8 +123,7 @@ def write_grove(folder: Path) -> None:
     scene.mesh(
         grid(np.stack([x, y, 0.15 * np.sin(0.6 * x) * np.cos(0.5 * y)], -1)), diffuse((0.2, 0.17, 0.1))
     )
-    greens = [(0.12, 0.3, 0.06), (0.2, 0.36, 0.08), (0.32, 0.3, 0.07), (0.08, 0.22, 0.07)]
-    crowns: list[list[Mesh]] = [[] for _ in greens]
+    crowns: list[list[Mesh]] = [[] for _ in _GREENS]
     trunks = []
     for number in range(14):
         place = np.array([rng.uniform(-9, 9), rng.uniform(-2, 16), 0.0])
@@ -133,9 +136,9 @@ def write_grove(folder: Path) -> None:
             end = start + reach / np.linalg.norm(reach) * rng.uniform(0.6, 1.8)
             trunks.append(tube([start, (start + end) / 2 + [0, 0, 0.1], end], [0.05, 0.01], 8, 6))
             centres = end + rng.normal(size=(1600, 3)) * 0.32
-            crowns[number % len(greens)].append(leaves(rng, centres, 0.05))
+            crowns[number % len(_GREENS)].append(leaves(rng, centres, 0.05))
     scene.mesh(merge(trunks), diffuse((0.25, 0.17, 0.11)))
-    for green, crown in zip(greens, crowns, strict=True):
+    for green, crown in zip(_GREENS, crowns, strict=True):
         scene.mesh(merge(crown), diffuse(green))
     blades = np.stack([rng.uniform(-10, 10, 60_000), rng.uniform(-8, 12, 60_000), np.full(60_000, 0.1)], -1)
     scene.mesh(leaves(rng, blades, 0.09), diffuse((0.18, 0.33, 0.07)))
@@ -149,14 +152,7 @@ def write_gantry(folder: Path) -> None:
     scene.mesh(quad((-8, -10, 0), (16, 0, 0), (0, 17, 0)), diffuse((0.25, 0.23, 0.22)))
     folds = np.linspace(-8, 8, 400)
     heights = np.array([0.0, 7.0])
-    cloth = np.stack(
-        [
-            np.broadcast_to(folds, (2, 400)),
-            np.broadcast_to(6.5 + 0.12 * np.sin(9 * folds), (2, 400)),
-            np.broadcast_to(heights[:, None], (2, 400)),
-        ],
-        -1,
-    )
+    cloth = np.stack(np.broadcast_arrays(folds, 6.5 + 0.12 * np.sin(9 * folds), heights[:, None]), -1)
     scene.mesh(grid(cloth), diffuse((0.35, 0.06, 0.08)))
     scene.mesh(
         merge([box((-6, 0, 0), (6, 6, 0.6)), box((-6, -0.4, 0), (6, 0, 0.3))]), diffuse((0.15, 0.13, 0.12))
@@ -168,7 +164,9 @@ def write_gantry(folder: Path) -> None:
         bars += _truss(np.array([x, 0.5, 0.6]), np.array([x, 0.5, 4.6]))
     bars += _truss(np.array([-5.5, 4.5, 0.6]), np.array([-5.5, 4.5, 5.2]))
     scene.mesh(merge(bars), rough_metal(0.3))
-    scene.mesh(merge([_drums(), _stands(rng)]), diffuse((0.3, 0.3, 0.32)))
+    things = [sphere((x, 3.4, 1.1), 0.35, 24) for x in (-1.2, -0.4, 0.4)]
+    things += [box((2.0, 3.5, 0.6), (3.4, 4.2, 1.7)), box((-3.6, 3.4, 0.6), (-2.4, 4.1, 2.1))]
+    scene.mesh(merge([*things, *_stands(rng)]), diffuse((0.3, 0.3, 0.32)))
     hues = np.array([[3, 0.6, 0.4], [0.5, 1.2, 3], [2.5, 2.2, 1.8], [2.6, 0.5, 2.2]])
     for number in range(390):
         row = ((0.5, 4.3), (2.5, 4.6), (4.5, 4.9))[number % 3]
@@ -202,13 +200,7 @@ def _bar(start: Points, end: Points, radius: float) -> Mesh:
     return tube([start, (start + end) / 2, end], [radius, radius], 3, 8)
 
 
-def _drums() -> Mesh:
-    parts = [sphere((x, 3.4, 1.1), 0.35, 24) for x in (-1.2, -0.4, 0.4)]
-    return merge([*parts, box((2.0, 3.5, 0.6), (3.4, 4.2, 1.7)), box((-3.6, 3.4, 0.6), (-2.4, 4.1, 2.1))])
-
-
-def _stands(rng: np.random.Generator) -> Mesh:
-    """Microphones on thin stands."""
+def _stands(rng: np.random.Generator) -> list[Mesh]:
     found = []
     for x in np.linspace(-4.5, 4.5, 9):
         foot = np.array([x, rng.uniform(0.8, 2.4), 0.6])
@@ -216,7 +208,7 @@ def _stands(rng: np.random.Generator) -> Mesh:
         found += [sphere(np.add(foot, (0, 0, 1.35)), 0.05, 12)]
         ends = (0.3, 0, 0), (-0.15, 0.26, 0), (-0.15, -0.26, 0)
         found += [_bar(foot, np.add(foot, end), 0.012) for end in ends]
-    return merge(found)
+    return found
 
 
 def write_workshop(folder: Path) -> None:
@@ -233,7 +225,10 @@ def write_workshop(folder: Path) -> None:
     walls += [quad((6, 0, 0), (0, 1.5, 0), (0, 0, 3)), quad((6, 3.5, 0), (0, 1.5, 0), (0, 0, 3))]
     walls += [quad((6, 1.5, 0), (0, 2, 0), (0, 0, 0.9)), quad((6, 1.5, 2.3), (0, 2, 0), (0, 0, 0.7))]
     scene.mesh(merge(walls), diffuse("wallpaper.jpg"))
-    scene.mesh(_benches(), diffuse("wood.jpg"))
+    boards = [rounded_box((0.2, 4.25, z), (5.7, 4.75, z + 0.04), 0.01) for z in (0.4, 0.9, 1.4, 1.9, 2.35)]
+    legs = [box((x, y, 0), (x + 0.08, y + 0.08, 0.88)) for x in (2.6, 5.2) for y in (1.4, 3.2)]
+    top = rounded_box((2.4, 1.2, 0.88), (5.5, 3.5, 0.94), 0.02)
+    scene.mesh(merge([*boards, *legs, top]), diffuse("wood.jpg"))
     for number in range(60):
         shelf = number % 5
         low = np.array([rng.uniform(0.3, 5.2), rng.uniform(4.3, 4.6), (0.45, 0.95, 1.45, 1.95, 2.4)[shelf]])
@@ -267,15 +262,7 @@ def write_workshop(folder: Path) -> None:
     scene.close()
 
 
-def _benches() -> Mesh:
-    """Two benches and the boards of the shelves."""
-    boards = [rounded_box((0.2, 4.25, z), (5.7, 4.75, z + 0.04), 0.01) for z in (0.4, 0.9, 1.4, 1.9, 2.35)]
-    legs = [box((x, y, 0), (x + 0.08, y + 0.08, 0.88)) for x in (2.6, 5.2) for y in (1.4, 3.2)]
-    return merge([*boards, *legs, rounded_box((2.4, 1.2, 0.88), (5.5, 3.5, 0.94), 0.02)])
-
-
 def _pegboard(rng: np.random.Generator) -> Mesh:
-    """Rings and rods that hang on the left wall."""
     found = []
     for y in np.linspace(0.8, 4.0, 20):
         for z in np.linspace(1.0, 2.6, 8):
@@ -286,18 +273,80 @@ def _pegboard(rng: np.random.Generator) -> Mesh:
     return merge(found)
 
 
+_BARK = (0.25, 0.17, 0.11)
+# Twigs of a plant, and where plants are: from the camera's feet on.
+_TWIGS, _WIDE, _DEEP = 20, 24.0, 40.0
+
+
+def write_instanced(folder: Path, instances: int, triangles: int) -> None:
+    """So many plants in sun and sky, each of four kinds of about so many triangles, at least 3,000."""
+    rng = np.random.default_rng(_INSTANCED_SEED)
+    scene = SceneWriter(folder, (0.0, -1.5, 1.7), (0.0, 6.0, 1.3), 60)
+    scales = "".join(f'<float name="{name}_scale" value="4"/>' for name in ("sun", "sky"))
+    scene.add(f'<emitter type="sunsky"><vector name="sun_direction" value=".5 -.4 .6"/>{scales}</emitter>')
+    x, y = np.meshgrid(np.linspace(-60, 60, 120), np.linspace(-20, 100, 120))
+    scene.mesh(grid(np.stack([x, y, 0 * x], -1)), diffuse((0.2, 0.17, 0.1)))
+    for number, green in enumerate(_GREENS):
+        wood, crown = _plant(rng, triangles)
+        scene.add(f'<shape type="shapegroup" id="plant-{number}">')
+        scene.mesh(wood, diffuse(_BARK))
+        scene.mesh(crown, diffuse(green))
+        scene.add("</shape>")
+    for number, (across, ahead) in enumerate(_places(rng, instances)):
+        scene.add(
+            f'<shape type="instance"><ref id="plant-{number % len(_GREENS)}"/><transform name="to_world">'
+            f'<scale value="{rng.uniform(0.6, 1.3):.4f}"/><rotate z="1" angle="{rng.uniform(0, 360):.2f}"/>'
+            f'<translate x="{across:.3f}" y="{ahead:.3f}"/></transform></shape>'
+        )
+    scene.close()
+
+
+def _plant(rng: np.random.Generator, triangles: int) -> tuple[Mesh, Mesh]:
+    """Wood and leaves of a plant two metres high, at the origin."""
+    wood = [tube([(0, 0, 0), (0.04, 0, 0.9), (0, 0, 1.8)], [0.05, 0.01], 12, 6)]
+    ends = []
+    for height in np.linspace(0.3, 1.8, _TWIGS):
+        angle, reach = rng.uniform(0, 2 * np.pi), 0.25 + 0.3 * (1.8 - height) * rng.uniform(0.5, 1)
+        end = (reach * np.cos(angle), reach * np.sin(angle), height + 0.2)
+        wood.append(
+            tube([(0, 0, height), (0.5 * end[0], 0.5 * end[1], height + 0.14), end], [0.012, 0.003], 6, 4)
+        )
+        ends.append(end)
+    stem = merge(wood)
+    count = max(1, (triangles - len(stem.faces)) // 2)
+    centres = np.array(ends)[rng.integers(_TWIGS, size=count)] + rng.normal(size=(count, 3)) * 0.13
+    # As much leaf however many leaves there are.
+    return stem, leaves(rng, centres, 2.2 / np.sqrt(count))
+
+
+def _places(rng: np.random.Generator, count: int) -> Iterator[tuple[float, float]]:
+    """So many places, evenly spread, of which none is at the camera."""
+    columns = int(np.ceil(np.sqrt(count * _WIDE / _DEEP)))
+    rows = -(-count // columns)
+    for number in range(count):
+        row, column = divmod(number, columns)
+        shift = rng.uniform(0.2, 0.8, 2)
+        yield _WIDE * ((column + shift[0]) / columns - 0.5), 1.5 + _DEEP * (row + shift[1]) / rows
+
+
+# Those that are measured, and those of instances.
 SCENES = {"grove": write_grove, "gantry": write_gantry, "workshop": write_workshop}
+INSTANCED = {
+    "thicket": partial(write_instanced, instances=1143, triangles=3_000),
+    "plantation": partial(write_instanced, instances=120, triangles=100_000),
+}
 
 
 def main() -> None:
-    """Writes every scene into a folder of its own."""
+    """Writes each scene into a folder of its own."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
+    parser.add_argument("names", nargs="*", metavar="NAME", default=[*SCENES])
     options = parser.parse_args()
-    for name, write in SCENES.items():
-        write(options.folder / name)
+    for name in options.names:
+        (SCENES | INSTANCED)[name](options.folder / name)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 import hybrid
-from benchmarks.forest_script import run
+from benchmarks import measure_forest
+from compose.camera.camera import Camera
 from compose.image.colour import decibels
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import INTERACTIVE
@@ -50,10 +51,7 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
                 walker.look(right, 0)
                 walker.walk(aside, 0, ahead)
                 newest = walker.camera(width, height)
-                expected, late = (
-                    _shown(source, Request(replace(INTERACTIVE, camera=camera)))
-                    for camera in (newest, before)
-                )
+                expected, late = (_shown(source, camera) for camera in (newest, before))
                 warps = [late_warped(late, newest, source) for _ in range(_WARM_UP + _TIMED)]
                 times = [warp.milliseconds["warp"] for warp in warps[_WARM_UP:]]
                 row = {"width": width, "height": height, "movement": name, "direction": direction}
@@ -62,9 +60,10 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def _shown(source: FrameSource, request: Request) -> ShownFrame:
+def _shown(source: FrameSource, camera: Camera) -> ShownFrame:
     """What the window shows of a view that it has just come to."""
     source.forget()
+    request = Request(replace(INTERACTIVE, camera=camera))
     return [source.show(request, quick=True) for _ in range(_FRAMES)][-1]
 
 
@@ -75,4 +74,4 @@ def _error(shown: ShownFrame, expected: ShownFrame) -> float:
 
 
 if __name__ == "__main__":
-    run(__doc__, measured)
+    measure_forest(__doc__, measured)

@@ -6,7 +6,6 @@ python -m benchmarks.levels SCENE --forest FOREST [--json FILE]
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,9 @@ import drjit as dr
 import numpy as np
 
 import hybrid
-from benchmarks.forest_script import run
+from benchmarks import measure_forest
 from hybrid.base.compute_device import device_arrays
-from hybrid.evaluation.periphery_bench import display_camera
+from hybrid.evaluation.splat_bench import display_camera
 from hybrid.measure.image_metrics import psnr
 from hybrid.measure.perceptual_metrics import jod
 from hybrid.render.forest_attachments import own_views
@@ -57,12 +56,17 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
             view = camera.moved_right(number * _STEP)
             return periphery.draw(view, periphery.detail(view, settings, moving=True), region)
 
-        times = [_milliseconds(draw, number) for number in range(-2, _REPEATS)][2:]
+        times = []
+        for number in range(-2, _REPEATS):
+            start = time.perf_counter()
+            draw(number)
+            dr.sync_thread()
+            times.append((time.perf_counter() - start) * 1000)
         drawn = draw(0)
         return {
             "method": method,
             "nodes": drawn.nodes,
-            "ms": float(np.median(times)),
+            "ms": float(np.median(times[2:])),
             "psnr": psnr(drawn.numpy(), truth),
             "jod": jod(drawn.numpy(), truth, settings.display, settings.gaze),
         }
@@ -78,12 +82,5 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
     return {"rows": rows, "fit_seconds": seconds, "steps": _STEPS, "before_db": before, "after_db": after}
 
 
-def _milliseconds(draw: Callable[[int], SplatImage], number: int) -> float:
-    start = time.perf_counter()
-    draw(number)
-    dr.sync_thread()
-    return (time.perf_counter() - start) * 1000
-
-
 if __name__ == "__main__":
-    run(__doc__, measured)
+    measure_forest(__doc__, measured)

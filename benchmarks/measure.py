@@ -66,11 +66,7 @@ MEASUREMENTS = {
 def measure(name: str, work: Path, places: dict[str, Path]) -> None:
     """Runs a measurement in the working folder, and keeps its JSON with command, date, machine and code.
 
-    Args:
-        places: what words of commands stand for.
-
-    Raises:
-        CalledProcessError: the command failed.
+    The places are what words of commands stand for. CalledProcessError if the command failed.
     """
     from hybrid.base.identity import code, machine
     from pathtrace.scene.backend import select_backend

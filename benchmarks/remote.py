@@ -17,25 +17,27 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 from websockets.typing import Subprotocol
 
 import hybrid  # noqa: F401  (finds LLVM before anything loads one)
+from benchmarks import parser_of, report
 from benchmarks.slow_network import ADDRESSES, DELAY, LOSS, RATE, SPACES, inside, slow_network
 from compose.base.files import json_text
 from compose.camera.camera import Camera, turned
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze, simulated
+from compose.image.colour import Image
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.messages import Server
-from hybrid.window.remote.client import Remote
+from hybrid.window.remote.client import Cut, Remote, View
 from hybrid.window.remote.protocol import FOREST_WANTED, SUBPROTOCOL, MaskMessage, ViewMessage, Welcome
 from splat.model.cuts import Bits
 from splat.model.hierarchy import HierarchyNodes
@@ -96,7 +98,7 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
     remote.look(view_at(home, distance, 0), trace.at(0), _DISPLAY)
     while not remote.is_current:
         remote.changed.wait(1)
-    asked: list[tuple[float, Any]] = []
+    asked: list[tuple[float, View]] = []
     times, ages, cuts, late = {0: 0.0}, [], {}, []
     count, begin, before = round(seconds * _RATE), time.monotonic(), (remote.bytes, _number(remote))
     for frame in range(count):
@@ -119,8 +121,7 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
     took = time.monotonic() - begin
     received, number = remote.bytes - before[0], _number(remote) - before[1]
     remote.close()
-    masks = {number: remote.tree.drawn(cut.split) for number, cut in cuts.items()}
-    holes = sum(int(_holes(nodes, drawn)) for drawn in masks.values())
+    masks = [remote.tree.drawn(cut.split) for cut in cuts.values()]
     compared = [late[k] for k in np.linspace(count // 10, count - 1, _COMPARED).astype(int)]
     return {
         "frames": count,
@@ -129,15 +130,14 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
         "masks_per_s": number / took,
         "bytes_per_mask": received / max(1, number),
         "age_ms": {f"p{p}": 1000 * float(np.percentile(ages, p)) for p in (50, 95, 99)},
-        "holes": holes,
+        "holes": sum(_holes(nodes, drawn) for drawn in masks),
         "gaussians": len(remote.forest.finest),
-        "drawn": int(np.median([np.count_nonzero(drawn) for drawn in masks.values()])),
+        "drawn": int(np.median([np.count_nonzero(drawn) for drawn in masks])),
         **_pictures(remote, compared),
     }
 
 
 def _number(remote: Remote) -> int:
-    """Number of the newest mask."""
     return remote.cut.number if remote.cut else 0
 
 
@@ -150,7 +150,7 @@ def _holes(nodes: HierarchyNodes, drawn: Bits) -> int:
     return int(np.count_nonzero(found != 1))
 
 
-def _pictures(remote: Remote, compared: list[Any]) -> dict[str, Any]:
+def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any]:
     """By how many JOD frames of late cuts differ from those of cuts that are found here."""
     from hybrid.measure.perceptual_metrics import jod
     from hybrid.render.splat_renderer import SplatRenderer
@@ -158,7 +158,7 @@ def _pictures(remote: Remote, compared: list[Any]) -> dict[str, Any]:
 
     renderer, cuts = SplatRenderer(remote.forest), ViewCuts(remote.forest, _SETTINGS)
 
-    def picture(view: Any, split: Bits, level: float) -> np.ndarray:
+    def picture(view: View, split: Bits, level: float) -> Image:
         renderer.hold_cut(cuts.tree.drawn(split))
         camera, gaze, display = view
         settings = replace(_SETTINGS, camera=camera, gaze=gaze, display=display, level=level)
@@ -214,7 +214,7 @@ class Swarm:
 
     async def hostile(self, number: int) -> None:
         """Does the same wrong thing again and again."""
-        kinds: list[Callable[[], Any]] = [self._stranger, self._garbage, self._bad, self._slow]
+        kinds = [self._stranger, self._garbage, self._bad, self._slow]
         kind = kinds[number % len(kinds)]
         while True:
             self.attempts[kind.__name__.strip("_")] += 1
@@ -246,7 +246,8 @@ class Swarm:
             said: list[str | bytes] = [secrets.token_bytes(1 << 20), bytes(nan), view[:-1], "text", b""]
             for message in (view, secrets.choice([view, *said])):
                 await connection.send(message)
-            await self._end(connection)
+            async for _ in connection:
+                pass
 
     async def _slow(self) -> None:
         """Takes the forest, and masks, a few bytes at a time or not at all."""
@@ -259,11 +260,6 @@ class Swarm:
                 moved = camera.moved_right(sequence * 1e-3)
                 await connection.send(ViewMessage(sequence, 0, moved, Gaze(), _DISPLAY).packed())
                 await asyncio.sleep(0.2)
-
-    @staticmethod
-    async def _end(connection: ClientConnection) -> None:
-        async for _ in connection:
-            pass
 
 
 async def many(server: Server, process: int, clients: int, seconds: float) -> dict[str, Any]:
@@ -332,15 +328,12 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     """Measures all of it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("scene")
     parser.add_argument("--forest", type=Path, metavar="FILE")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="N")
     parser.add_argument("--clients", type=int, default=200, metavar="N")
     parser.add_argument("--hostile-seconds", type=float, default=40.0, metavar="N")
-    parser.add_argument("--json", type=Path, metavar="FILE")
     # The part that runs in the client's namespace.
     parser.add_argument("--walk", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -348,10 +341,7 @@ def main() -> None:
         server = Server(f"ws://{ADDRESSES[0]}:{_PORT}", (options.walk / "token").read_text())
         (options.walk / "walk.json").write_text(json_text(walk(server, options.seconds)))
         return
-    text = json_text(measured(options))
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    report(measured(options), options.json)
 
 
 if __name__ == "__main__":

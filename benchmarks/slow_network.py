@@ -93,7 +93,6 @@ class _Way:
 
 
 def _carry(first: int, second: int, seed: int) -> None:
-    """Carries packets between two devices until it is ended."""
     rng, ways = random.Random(seed), {first: _Way(second), second: _Way(first)}
     while True:
         due = min((way.waiting[0][0] for way in ways.values() if way.waiting), default=time.monotonic() + 1)

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import hybrid
-from benchmarks.forest_script import run
+from benchmarks import measure_forest
 from compose.camera.camera import Array, Camera, turned
 from compose.camera.coordinate_systems import Place
 from compose.image.colour import decibels, srgb_from_radiance
@@ -105,7 +105,7 @@ def psnr(ours: Array, theirs: Array) -> float:
     return decibels(float(((ours - theirs) ** 2).mean()))
 
 
-def of_colmap(scene: Any, folder: Path) -> dict[str, Any]:
+def of_colmap(scene: hybrid.Scene, folder: Path) -> dict[str, Any]:
     """Frames of a scene as a data set of COLMAP, and what came back."""
     settings = CaptureSettings(views=8, held_out=0, width=128, height=128, spp=4)
     frames = hybrid.capture(scene, folder / "frames", settings)
@@ -119,10 +119,8 @@ def of_colmap(scene: Any, folder: Path) -> dict[str, Any]:
     true = [srgb_from_radiance(read_frame(b.file).radiance) for _, b in pairs]
     size = sum(file.stat().st_size for file in (folder / "colmap").rglob("*") if file.is_file())
     picture = max(float(np.abs(a - b).max()) for a, b in zip(shown, true, strict=True))
-    return {
-        **{"images": images, "points": points, "bytes": size},
-        **{"pose": float(pose), "lens": float(lens), "picture_256ths": 256 * picture},
-    }
+    facts = {"images": images, "points": points, "bytes": size}
+    return {**facts, "pose": float(pose), "lens": float(lens), "picture_256ths": 256 * picture}
 
 
 def measured(name: str, forest: Path) -> dict[str, Any]:
@@ -134,7 +132,11 @@ def measured(name: str, forest: Path) -> dict[str, Any]:
     ours, sent = (in_world(one, place).all_turning() for one in (loaded.finest, fitted))
     view = scene.camera.resized(_SIZE, _SIZE)
     pose = view.camera_to_world
-    cameras = [view.at(_yawed(pose, yaw)) for yaw in _YAWS]
+    cameras = []
+    for yaw in _YAWS:
+        turn = pose.copy()
+        turn[:3, :3] = turned(pose[:3, :3], yaw, 0.0)
+        cameras.append(view.at(turn))
     own, true = (pictures(one, place, cameras) for one in (ours, sent))
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -151,12 +153,5 @@ def measured(name: str, forest: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _yawed(pose: Array, degrees: float) -> Array:
-    """A pose that looks elsewhere, by degrees to the right."""
-    found = pose.copy()
-    found[:3, :3] = turned(pose[:3, :3], degrees, 0.0)
-    return found
-
-
 if __name__ == "__main__":
-    run(__doc__, measured)
+    measure_forest(__doc__, measured)

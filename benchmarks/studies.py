@@ -8,7 +8,6 @@ Chromium, which must be installed, with its driver and selenium.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import os
 import queue
@@ -24,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from compose.base.files import json_text
+from benchmarks import parser_of, report
 from hybrid.render.image_files import write_srgb
 from hybrid.study.browser import serve_study
 from hybrid.study.comparisons import compare, holm, mean_votes
@@ -253,11 +252,8 @@ def _agreement(ours: list[float], theirs: list[float]) -> dict[str, float]:
 
 def main() -> None:
     """Measures all of it, that against published scales if their data is there."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("vision", type=Path, nargs="?")
-    parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     canvases = {"window": take_part_in_window, "browser": take_part_in_browser}
     found: dict[str, Any] = {
@@ -271,10 +267,7 @@ def main() -> None:
     if options.vision:
         scaled = {"alsarr": agreement_with_alsarr, "hdr_vdc": agreement_with_hdr_vdc}
         found["published"] = {name: agreement(options.vision) for name, agreement in scaled.items()}
-    text = json_text(found)
-    print(text)
-    if options.json:
-        options.json.write_text(text)
+    report(found, options.json)
 
 
 if __name__ == "__main__":

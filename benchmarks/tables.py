@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,29 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "measured").glob("*.md")))
 _BLOCK = re.compile(r"(<!-- figures (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 # Ways to make the fovea, in the order of the tables.
 _MODES = ("raw", "denoised", "fused")
+_METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
+_DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
+# Decibels from which on pictures count as the same.
+_EXACT = 119.0
+Row = dict[str, Any]
 
 
-def measured(name: str) -> dict[str, Any]:
+def measured(name: str) -> Row:
     """What `benchmarks.measure` kept under that name: command, date, machine and result."""
-    found: dict[str, Any] = json.loads((DATA / f"{name}.json").read_text())
+    found: Row = json.loads((DATA / f"{name}.json").read_text())
     return found
 
 
-def result(name: str) -> Any:
+def result(name: str) -> Row:
     """The result of a measurement: what its command writes with --json."""
-    return measured(name)["result"]
+    found: Row = measured(name)["result"]
+    return found
+
+
+def result_rows(name: str) -> list[Row]:
+    """The result of a measurement whose command writes rows."""
+    rows: list[Row] = measured(name)["result"]
+    return rows
 
 
 def filled(text: str) -> str:
@@ -44,141 +57,111 @@ def filled(text: str) -> str:
     return _BLOCK.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)
 
 
-def markdown(header: list[str], rows: list[list[str]]) -> str:
-    """A table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+def markdown(header: str, rows: Iterable[str]) -> str:
+    """A table in Markdown, of lines whose cells are separated by ` | `."""
+    rule = " | ".join("---" for _ in header.split(" | "))
+    return "\n".join(f"| {line} |" for line in (header, rule, *rows))
 
 
-def _with_provenance(table: str, *names: str) -> str:
-    """A table after the commands that measured it, and when and where."""
+def _rows(form: str, rows: Iterable[Row]) -> list[str]:
+    return [form.format_map(row) for row in rows]
+
+
+def _table(header: str, rows: Iterable[str], *names: str, below: str = "") -> str:
+    """A table after the commands that measured it, when and where, and what is said below it."""
+    return "\n\n".join([_provenance(*names), markdown(header, rows), *([below] if below else [])])
+
+
+def _provenance(*names: str) -> str:
     first = measured(names[0])
     machine = first["machine"]
     where = machine["gpu"] or f"{machine['cores']} cores of {machine['cpu']}"
     commands = ", ".join(f"`{measured(name)['command']}`" for name in names)
-    return f"{commands}: {where}, {first['date']}.\n\n{table}"
+    return f"{commands}: {where}, {first['date']}."
 
 
-def _range(between: list[float], form: str) -> str:
-    return f"{between[0]:{form}} to {between[1]:{form}}"
+def _known(value: float | None, form: str) -> str:
+    """A value in a cell; empty if it was not measured."""
+    return "" if value is None else format(value, form)
 
 
 def quickstart() -> str:
     """The main job: quality, registration and time."""
     found = result("quickstart")
+    quality = "{0[psnr]:.2f} dB ({1[psnr][0]:.2f} to {1[psnr][1]:.2f}), SSIM {0[ssim]:.3f}"
     ours, splats = (
-        f"{found[name]['psnr']:.2f} dB ({_range(found[f'{name}_range']['psnr'], '.2f')}), "
-        f"SSIM {found[name]['ssim']:.3f}"
-        for name in ("hybrid", "splats_alone")
+        quality.format(found[name], found[f"{name}_range"]) for name in ("hybrid", "splats_alone")
     )
-    times = " / ".join(f"{found[f'{name}_ms']['p50']:.0f}" for name in ("hybrid", "disc", "path_traced"))
     rows = [
-        [
-            "whole job",
-            f"{found['seconds']['total']:.0f} s, {found['seconds']['prepare']:.0f} of them to prepare",
-        ],
-        ["hybrid frame", ours],
-        ["splats alone, same views", splats],
-        ["registration error of the splats", f"{found['registration_px']:.3f} px"],
-        ["hybrid frame / disc alone / full path tracing, denoised as well", f"{times} ms"],
-        [
-            "hybrid frame against full path tracing",
-            f"{found['ratio']:.1f}x ({_range(found['ratio_range'], '.1f')})",
-        ],
+        "whole job | {seconds[total]:.0f} s, {seconds[prepare]:.0f} of them to prepare",
+        f"hybrid frame | {ours}",
+        f"splats alone, same views | {splats}",
+        "registration error of the splats | {registration_px:.3f} px",
+        "hybrid frame / disc alone / full path tracing, denoised as well | "
+        "{hybrid_ms[p50]:.0f} / {disc_ms[p50]:.0f} / {path_traced_ms[p50]:.0f} ms",
+        "hybrid frame against full path tracing | "
+        "{ratio:.1f}x ({ratio_range[0]:.1f} to {ratio_range[1]:.1f})",
     ]
-    return _with_provenance(markdown(["", ""], rows), "quickstart")
+    return _table(" | ", [line.format_map(found) for line in rows], "quickstart")
 
 
 def _prepared_scenes(*scenes: str) -> str:
     """Held-out quality of scenes, rooms or not, after each stage of a preparation."""
+    form = "{seconds:.0f} s | {gaussians:,} | {psnr:.1f} ({least_psnr:.1f}) | {ssim:.3f}"
     names = [f"prepare-{scene}" for scene in scenes]
     rows = [
-        [
-            scene,
-            f"{stage['seconds']:.0f} s",
-            f"{stage['gaussians']:,}",
-            f"{stage['psnr']:.1f} ({stage['least_psnr']:.1f})",
-            f"{stage['ssim']:.3f}",
-        ]
+        line
         for scene, name in zip(scenes, names, strict=True)
-        for stage in result(name)["curve"]
+        for line in _rows(f"{scene} | {form}", result(name)["curve"])
     ]
-    header = ["scene", "after", "Gaussians", "PSNR, dB (worst view)", "SSIM"]
-    return _with_provenance(markdown(header, rows), *names)
+    return _table("scene | after | Gaussians | PSNR, dB (worst view) | SSIM", rows, *names)
 
 
 def resolution(name: str = "resolution") -> str:
     """Hybrid frames against full path tracing by resolution, beside FPC's Table 4."""
-    rows = [
-        [
-            f"{row['width']}x{row['height']}",
-            f"{row['ms']['p50']:.0f}",
-            f"{row['full_ms']['p50']:.0f}",
-            f"{row['ratio']:.2f}",
-            f"{row['paper']['ratio']:.2f}",
-        ]
-        for row in result(name)["rows"]
-    ]
-    table = markdown(["size", "hybrid, ms", "full, ms", "ratio", "FPC's ratio"], rows)
-    return _with_provenance(table, name)
+    form = "{width}x{height} | {ms[p50]:.0f} | {full_ms[p50]:.0f} | {ratio:.2f} | {paper[ratio]:.2f}"
+    return _table(
+        "size | hybrid, ms | full, ms | ratio | FPC's ratio", _rows(form, result(name)["rows"]), name
+    )
 
 
 def radius() -> str:
     """Ratio of full path tracing to hybrid frames by radius and resolution, and where it reaches 1."""
     found = result("radius")
-    sizes = [(row["width"], row["height"]) for row in found["break_even"]]
-    by_place = {((row["width"], row["height"]), row["radius"]): row for row in found["rows"]}
-    radii = dict.fromkeys(row["radius"] for row in found["rows"])
-    rows = [[f"{one:g}", *(_of_radius(by_place[size, one]) for size in sizes)] for one in radii]
+    sizes = [f"{row['width']}x{row['height']}" for row in found["break_even"]]
+    # Rows come size by size.
+    lines: dict[float, list[str]] = {}
+    for row in found["rows"]:
+        cell = f"{row['ratio']:.2f} ({100 * row['covered']:.0f} %)"
+        lines.setdefault(row["radius"], [f"{row['radius']:g}"]).append(cell)
     ends = [row["radius"] for row in found["break_even"]]
-    rows.append(["as fast up to", *("over 90 %" if end is None else f"{end:.0f} %" for end in ends)])
-    rows.append(["FPC, its own scene", *(f"{row['paper']:.0f} %" for row in found["break_even"])])
-    header = ["radius, % of the height", *(f"{width}x{height}" for width, height in sizes)]
-    return _with_provenance(markdown(header, rows), "radius")
-
-
-def _of_radius(row: dict[str, Any]) -> str:
-    return f"{row['ratio']:.2f} ({100 * row['covered']:.0f} %)"
+    reached = ["as fast up to", *("over 90 %" if end is None else f"{end:.0f} %" for end in ends)]
+    papers = ["FPC, its own scene", *_rows("{paper:.0f} %", found["break_even"])]
+    rows = [" | ".join(cells) for cells in (*lines.values(), reached, papers)]
+    return _table(" | ".join(["radius, % of the height", *sizes]), rows, "radius")
 
 
 def denoiser() -> str:
     """Foveal quality and time by the way the fovea is made."""
     found = result("denoiser")["rows"]
-    metrics = [name for name in ("psnr", "ssim", "flip", "jod") if f"foveal {name}" in found[0]["quality"]]
-    rows = [
-        [
-            str(row["spp"]),
-            row["fovea"],
-            f"{row['ms']['p50']:.0f}",
-            *(f"{row['quality'][f'foveal {name}']:.{_DIGITS[name]}f}" for name in metrics),
-        ]
-        for row in found
-    ]
-    header = ["spp", "fovea", "ms", *(_METRICS[name] for name in metrics)]
-    return _with_provenance(markdown(header, rows), "denoiser")
+    metrics = [name for name in _METRICS if f"foveal {name}" in found[0]["quality"]]
+    form = " | ".join(f"{{quality[foveal {name}]:.{_DIGITS[name]}f}}" for name in metrics)
+    header = " | ".join(["spp | fovea | ms", *(_METRICS[name] for name in metrics)])
+    return _table(header, _rows("{spp} | {fovea} | {ms[p50]:.0f} | " + form, found), "denoiser")
 
 
 def paths() -> str:
     """Time and quality of the whole frame by where paths are traced, on each scene."""
+    form = "{ms[p50]:.0f} ms, {quality[whole psnr]:.2f} dB, {quality[whole jod]:.2f} JOD, "
+    form += "{quality[foveal jod]:.2f} in the disc"
     names = [path.stem for path in sorted(DATA.glob("paths-*.json"))]
     rows = []
     for name in names:
         found = [row for row in result(name)["rows"] if row["fovea"] == "fused"]
-        for disc, cells in zip(found[::2], found[1::2], strict=True):
-            both = [
-                f"{row['ms']['p50']:.0f} ms, {row['quality']['whole psnr']:.2f} dB, "
-                f"{row['quality']['whole jod']:.2f} JOD, {row['quality']['foveal jod']:.2f} in the disc"
-                for row in (disc, cells)
-            ]
-            rows.append([name.removeprefix("paths-"), str(disc["spp"]), *both])
-    header = ["scene", "spp", "paths in the disc", "paths where needed"]
-    return _with_provenance(markdown(header, rows), *names)
-
-
-_METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
-# Decibels from which on pictures count as the same.
-_EXACT = 119.0
-_DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
+        # The disc comes before the cells.
+        for spp, both in groupby(found, key=lambda row: row["spp"]):
+            rows.append(" | ".join([name.removeprefix("paths-"), str(spp), *_rows(form, both)]))
+    return _table("scene | spp | paths in the disc | paths where needed", rows, *names)
 
 
 def evaluation() -> str:
@@ -189,99 +172,65 @@ def evaluation() -> str:
     columns = [("whole", "ssim"), ("whole", "jod"), ("foveal", "psnr"), ("foveal", "flip"), ("foveal", "jod")]
     rows = []
     for key in found.keys:
-        values = [(found.mean(key, *column), _DIGITS[column[1]]) for column in columns]
-        time = found.times.get(key)
-        cells = ["" if value is None else f"{value:.{digits}f}" for value, digits in values]
-        rows.append([found.label(key), "" if time is None else f"{time:.0f}", *cells])
-    header = ["method", "ms", *(f"{region} {_METRICS[metric]}" for region, metric in columns)]
-    table = _with_provenance(markdown(header, rows), "evaluation")
-    return "\n\n".join([table, "\n".join(f"- {line}" for line in verdicts(found.found))])
+        cells = [_known(found.mean(key, *column), f".{_DIGITS[column[1]]}f") for column in columns]
+        rows.append(" | ".join([found.label(key), _known(found.times.get(key), ".0f"), *cells]))
+    header = " | ".join(["method | ms", *(f"{region} {_METRICS[metric]}" for region, metric in columns)])
+    below = "\n".join(f"- {line}" for line in verdicts(found.found))
+    return _table(header, rows, "evaluation", below=below)
 
 
 def integrators() -> str:
     """Efficiency and bias of the cached integrator."""
+    names = "integrator-room", "integrator-staircase2"
+    form = (
+        "{scene} | {integrator} | {one[squared_error]:.3g} / {four[squared_error]:.3g} | "
+        "{one[ms][p50]:.0f} / {four[ms][p50]:.0f} | {one[efficiency]:.1f} / {four[efficiency]:.1f} | "
+        "{mean:+.1%} | {worst_block:.1%} | {p95_block:.1%}"
+    )
     rows = []
-    for name in ("integrator-room", "integrator-staircase2"):
-        found = result(name)
+    for found in map(result, names):
         for bias in found["bias"]:
             one, four = (row for row in found["rows"] if row["integrator"] == bias["integrator"])
-            rows.append(
-                [
-                    found["scene"],
-                    bias["integrator"],
-                    f"{one['squared_error']:.3g} / {four['squared_error']:.3g}",
-                    f"{one['ms']['p50']:.0f} / {four['ms']['p50']:.0f}",
-                    f"{one['efficiency']:.1f} / {four['efficiency']:.1f}",
-                    f"{bias['mean']:+.1%}",
-                    f"{bias['worst_block']:.1%}",
-                    f"{bias['p95_block']:.1%}",
-                ]
-            )
-    header = ["scene", "integrator", "squared error, 1 / 4 spp", "ms", "efficiency"]
-    header += ["bias of the mean", "worst block", "95 % of blocks below"]
-    return _with_provenance(markdown(header, rows), "integrator-room", "integrator-staircase2")
+            rows.append(form.format(**bias, scene=found["scene"], one=one, four=four))
+    header = "scene | integrator | squared error, 1 / 4 spp | ms | efficiency | "
+    header += "bias of the mean | worst block | 95 % of blocks below"
+    return _table(header, rows, *names)
 
 
 def periphery() -> str:
     """The time that each acuity model saves in the periphery, and what a viewer notices of it."""
-    rows = [
-        [
-            f"{row['gaze'][0]:g}, {row['gaze'][1]:g}",
-            row["acuity_model"],
-            f"{row['periphery_ms']['p50']:.0f} of {row['full_ms']['p50']:.0f}",
-            f"{row['moving_ms']['p50']:.0f} of {row['moving_full_ms']['p50']:.0f}",
-            f"{row['nodes_drawn']:,}",
-            "" if row["jod"] is None else f"{row['jod']:.2f}",
-            f"{row['ssim']:.4f}",
-        ]
-        for row in result("periphery")
-    ]
-    header = ["gaze", "acuity model", "ms, camera still", "ms, camera moving", "nodes", "JOD", "SSIM"]
-    return _with_provenance(markdown(header, rows), "periphery")
+    form = (
+        "{gaze[0]:g}, {gaze[1]:g} | {acuity_model} | {periphery_ms[p50]:.0f} of {full_ms[p50]:.0f} | "
+        "{moving_ms[p50]:.0f} of {moving_full_ms[p50]:.0f} | {nodes_drawn:,} | {jod} | {ssim:.4f}"
+    )
+    found = [row | {"jod": _known(row["jod"], ".2f")} for row in result_rows("periphery")]
+    header = "gaze | acuity model | ms, camera still | ms, camera moving | nodes | JOD | SSIM"
+    return _table(header, _rows(form, found), "periphery")
 
 
 def levels() -> str:
     """Continuous levels of detail against layers, at as many Gaussians."""
     found = result("levels")
-    rows = [
-        [
-            row["method"],
-            f"{row['nodes']:,}",
-            f"{row['ms']:.0f}",
-            f"{row['psnr']:.1f}",
-            "" if row["jod"] is None else f"{row['jod']:.2f}",
-        ]
-        for row in found["rows"]
-    ]
-    before, after = (f"{found[name]:.1f}" for name in ("before_db", "after_db"))
-    fit = f"`hybrid levels` took {found['fit_seconds']:.0f} s for {found['steps']:,} steps, which brought "
-    fit += f"{before} to {after} dB in views and cuts that it was not fitted to yet."
-    table = markdown(["drawn", "Gaussians", "ms", "PSNR, dB", "JOD"], rows)
-    return _with_provenance(f"{table}\n\n{fit}", "levels")
+    rows = [row | {"jod": _known(row["jod"], ".2f")} for row in found["rows"]]
+    fit = (
+        "`hybrid levels` took {fit_seconds:.0f} s for {steps:,} steps, which brought {before_db:.1f} to "
+        "{after_db:.1f} dB in views and cuts that it was not fitted to yet."
+    )
+    lines = _rows("{method} | {nodes:,} | {ms:.0f} | {psnr:.1f} | {jod}", rows)
+    return _table("drawn | Gaussians | ms | PSNR, dB | JOD", lines, "levels", below=fit.format_map(found))
 
 
 def frames(name: str = "frame") -> str:
     """Whole frames: wall clock, kernels, launches, bytes on the host."""
-    found = result(name)
-    sizes = dict.fromkeys((row["width"], row["height"]) for row in found)
+    forms = "{wall_ms[p50]:.1f} / {wall_ms[p95]:.1f}", "{kernels_ms:.1f}", "{launches}", "{megabytes:.1f}"
+    found = [row | {"megabytes": row["host_bytes"] / 1e6} for row in result_rows(name)]
     rows = []
-    for width, height in sizes:
+    for size in dict.fromkeys(f"{row['width']}x{row['height']}" for row in found):
         for mode in _MODES:
-            pair = [
-                row for row in found if (row["width"], row["height"], row["mode"]) == (width, height, mode)
-            ]
-            rows.append(
-                [
-                    f"{width}x{height}",
-                    mode,
-                    ", ".join(f"{row['wall_ms']['p50']:.1f} / {row['wall_ms']['p95']:.1f}" for row in pair),
-                    ", ".join(f"{row['kernels_ms']:.1f}" for row in pair),
-                    ", ".join(str(row["launches"]) for row in pair),
-                    ", ".join(f"{row['host_bytes'] / 1e6:.1f}" for row in pair),
-                ]
-            )
-    header = ["size", "fovea", "wall, ms, p50 / p95", "kernels, ms", "launches", "host, MB"]
-    return _with_provenance(markdown(header, rows), name)
+            pair = [r for r in found if (f"{r['width']}x{r['height']}", r["mode"]) == (size, mode)]
+            rows.append(" | ".join([size, mode, *(", ".join(_rows(form, pair)) for form in forms)]))
+    header = "size | fovea | wall, ms, p50 / p95 | kernels, ms | launches | host, MB"
+    return _table(header, rows, name)
 
 
 def acuity() -> str:
@@ -289,173 +238,138 @@ def acuity() -> str:
     found = result("acuity")
     rows = []
     for name, model in found["models"].items():
-        cutoffs = (f"{found['cutoffs'][name][place]:.1f}" for place in range(5))
+        cutoffs = (f"{cutoff:.1f}" for cutoff in found["cutoffs"][name][:5])
         means = (f"{mean:+.2f}" for mean in model["means"])
-        rows.append([f"`{name}`", *cutoffs, *means, f"{model['rms']:.2f}"])
+        rows.append(" | ".join([f"`{name}`", *cutoffs, *means, f"{model['rms']:.2f}"]))
     header = ["acuity model", *(f"{10 * place} degrees" for place in range(5))]
     header += [*(f"error at {10 * place}" for place in range(3)), "rms"]
     rms = found["left_one_out"]["rms"]
     left_out = f"Each person against `resolution-limit` fitted to all others: {rms:.3f} octaves."
-    return _with_provenance(f"{markdown(header, rows)}\n\n{left_out}", "acuity")
+    return _table(" | ".join(header), rows, "acuity", below=left_out)
 
 
 def studies() -> str:
     """How exactly studies show what they ask for, and how far their analysis can be trusted."""
     found = result("studies")
     timing = markdown(
-        ["shown in", "frames of a clip", "trials", "median", "99 %", "frames dropped", "late"],
-        [
-            [
-                row["canvas"],
-                *(str(row[name]) for name in ("frames", "trials")),
-                *(f"{row[name]:.2f}" for name in ("median", "p99")),
-                *(str(row[name]) for name in ("dropped", "late")),
-            ]
-            for row in found["timing"]
-        ],
+        "shown in | frames of a clip | trials | median | 99 % | frames dropped | late",
+        _rows(
+            "{canvas} | {frames} | {trials} | {median:.2f} | {p99:.2f} | {dropped} | {late}", found["timing"]
+        ),
     )
-    coverage = markdown(
-        ["answers", "studies", "differences in their 95 % interval", "of 100 studies", "none, called one"],
-        [
-            [
-                name,
-                f"{row['studies']:,}",
-                f"{100 * row['inside']:.1f} %",
-                f"{100 * row['least_of_100']:.1f} to {100 * row['most_of_100']:.1f}",
-                f"{100 * row['false_differences']:.1f} %",
-            ]
-            for name, row in found["coverage"].items()
-        ],
+    shares = "inside", "least_of_100", "most_of_100", "false_differences"
+    coverage = [
+        {"name": name, "studies": row["studies"]} | {share: 100 * row[share] for share in shares}
+        for name, row in found["coverage"].items()
+    ]
+    form = "{name} | {studies:,} | {inside:.1f} % | {least_of_100:.1f} to {most_of_100:.1f} | "
+    covered = markdown(
+        "answers | studies | differences in their 95 % interval | of 100 studies | none, called one",
+        _rows(form + "{false_differences:.1f} %", coverage),
     )
-    published = markdown(
-        ["choices", "conditions", "r", "rms"],
-        [
-            [name, str(row["conditions"]), f"{row['r']:.4f}", f"{row['rms']:.3f}"]
-            for name, row in found["published"].items()
-        ],
+    published = [{"name": name, **row} for name, row in found["published"].items()]
+    agreement = markdown(
+        "choices | conditions | r | rms", _rows("{name} | {conditions} | {r:.4f} | {rms:.3f}", published)
     )
-    return _with_provenance(f"{timing}\n\n{coverage}\n\n{published}", "studies")
+    return "\n\n".join([_provenance("studies"), timing, covered, agreement])
 
 
 def stored() -> str:
     """What formats of Gaussians keep of a forest's finest layer."""
     found = result("stored")
+    form = (
+        "`.{format}` | {megabytes:.2f} | {each:.0f} | {degree} | {position:.2g} | {scale:.2g} | "
+        "{rotation:.2g} | {opacity:.2g} | {colour:.2g} | {picture}"
+    )
     rows = [
-        [
-            f"`.{row['format']}`",
-            f"{row['bytes'] / 1e6:.2f}",
-            f"{row['bytes'] / row['count']:.0f}",
-            str(row["degree"]),
-            *(f"{row[name]:.2g}" for name in ("position", "scale", "rotation", "opacity", "colour")),
-            "exact" if row["psnr"] >= _EXACT else f"{row['psnr']:.1f}",
-        ]
+        form.format(
+            **row,
+            megabytes=row["bytes"] / 1e6,
+            each=row["bytes"] / row["count"],
+            picture="exact" if row["psnr"] >= _EXACT else f"{row['psnr']:.1f}",
+        )
         for row in found["formats"]
     ]
-    header = ["file", "MB", "bytes per Gaussian", "degree", "position, deviations", "scale, share"]
-    header += ["rotation, degrees", "opacity, 256ths", "colour, 256ths", "picture, dB"]
-    what = f"{found['gaussians']:,} Gaussians of degree {found['degree']}. "
-    what += (
-        f"As other viewers show them, against the forest's own pictures: {found['fitted_psnr']:.1f} dB; "
-        f"{found['as_trained_psnr']:.1f} dB without the fit."
+    header = "file | MB | bytes per Gaussian | degree | position, deviations | scale, share | "
+    header += "rotation, degrees | opacity, 256ths | colour, 256ths | picture, dB"
+    what = (
+        "{gaussians:,} Gaussians of degree {degree}. As other viewers show them, against the forest's own "
+        "pictures: {fitted_psnr:.1f} dB; {as_trained_psnr:.1f} dB without the fit."
     )
-    return _with_provenance(f"{markdown(header, rows)}\n\n{what}", "stored")
+    return _table(header, rows, "stored", below=what.format_map(found))
 
 
 def colmap() -> str:
     """What a data set of COLMAP keeps of frames."""
     found = result("stored")["colmap"]
     rows = [
-        ["files", f"{found['images']} images, {found['points']:,} points, {found['bytes'] / 1e6:.2f} MB"],
-        ["poses, largest difference of a number", f"{found['pose']:.1g}"],
-        ["focal lengths and principal points", "exact" if found["lens"] == 0 else f"{found['lens']:.1g} px"],
-        ["pictures against radiance on the sRGB curve, 256ths", f"{found['picture_256ths']:.2f}"],
+        f"files | {found['images']} images, {found['points']:,} points, {found['bytes'] / 1e6:.2f} MB",
+        f"poses, largest difference of a number | {found['pose']:.1g}",
+        "focal lengths and principal points | "
+        + ("exact" if found["lens"] == 0 else f"{found['lens']:.1g} px"),
+        f"pictures against radiance on the sRGB curve, 256ths | {found['picture_256ths']:.2f}",
     ]
-    return _with_provenance(markdown(["", ""], rows), "stored")
+    return _table(" | ", rows, "stored")
 
 
 def raster() -> str:
     """The rasterizer and its gradient alone."""
     found = result("raster")
     rows = [
-        [name, f"{found[f'{name}_ms']['p50']:.1f}", f"{found[f'{name}_ms']['p95']:.1f}"]
+        f"{name} | {found[f'{name}_ms']['p50']:.1f} | {found[f'{name}_ms']['p95']:.1f}"
         for name in ("forward", "backward")
     ]
-    return _with_provenance(markdown(["", "median, ms", "p95, ms"], rows), "raster")
+    return _table(" | median, ms | p95, ms", rows, "raster")
 
 
 def window() -> str:
     """Frame rate and latency of the window, in Qt and in a browser."""
-    found = result("window")
+    forms = "{fps:.1f}", "{latency_ms[p50]:.0f} / {latency_ms[p95]:.0f}"
     rows = [
-        [
-            {"qt": "Qt, in memory", "browser": "headless Chromium"}[shell],
-            f"{runs[0]['width']}x{runs[0]['height']}",
-            ", ".join(f"{run['fps']:.1f}" for run in runs),
-            ", ".join(f"{run['latency_ms']['p50']:.0f} / {run['latency_ms']['p95']:.0f}" for run in runs),
-        ]
-        for shell, runs in found["runs"].items()
+        " | ".join(
+            [
+                {"qt": "Qt, in memory", "browser": "headless Chromium"}[shell],
+                f"{runs[0]['width']}x{runs[0]['height']}",
+                *(", ".join(_rows(form, runs)) for form in forms),
+            ]
+        )
+        for shell, runs in result("window")["runs"].items()
     ]
-    header = ["window", "size", "FPS, median of each run", "mouse to screen, ms, p50 / p95 of each run"]
-    return _with_provenance(markdown(header, rows), "window")
+    header = "window | size | FPS, median of each run | mouse to screen, ms, p50 / p95 of each run"
+    return _table(header, rows, "window")
 
 
 def late_warp() -> str:
     """What frames gain that are warped to where the viewer is."""
-    rows = [
-        [
-            row["movement"],
-            f"{row['width']}x{row['height']}",
-            *(f"{row[name]:.1f}" for name in ("late", "warped", "ms")),
-        ]
-        for row in result("late-warp")["rows"]
-    ]
-    header = ["movement", "size", "late, dB", "warped, dB", "warp, ms"]
-    return _with_provenance(markdown(header, rows), "late-warp")
+    form = "{movement} | {width}x{height} | {late:.1f} | {warped:.1f} | {ms:.1f}"
+    rows = _rows(form, result("late-warp")["rows"])
+    return _table("movement | size | late, dB | warped, dB | warp, ms", rows, "late-warp")
 
 
 def remote() -> str:
     """What masks cost and show over a slow network, and what hostile clients do to the server."""
+    form = """\
+network | {network[mbit_per_s]:.0f} Mbit/s, {network[ms_each_way]:.0f} ms each way, {network[loss]:.0%} loss
+masks per second, frames | {walk[masks_per_s]:.0f}, {walk[frames]:,}
+Mbit/s of masks | {walk[mbit_per_s]:.2f}
+age of the mask in use, ms, p50 / p99 | {walk[age_ms][p50]:.0f} / {walk[age_ms][p99]:.0f}
+frames with holes | {walk[holes]}
+JOD lost against local cuts, mean / most | {lost[mean]:.3f} / {lost[most]:.3f}
+clients, half of them hostile; seconds | {many[clients]}; {many[seconds]:.0f}
+masks per second of an honest one, of as many views: alone / beside the hostile | {rates} of {asked:.0f}
+honest clients lost, clients let in without the token | {many[honest_lost]}, {many[admitted_without_token]}
+server's memory, MiB: alone, most; growth per minute | {memory}; {many[mib_per_minute]:+.1f}"""
     found = result("remote")
-    network, walk, many = (found[name] for name in ("network", "walk", "many"))
-    slow = f"{network['mbit_per_s']:.0f} Mbit/s, {network['ms_each_way']:.0f} ms each way, "
-    rows = [
-        ["network", slow + f"{network['loss']:.0%} loss"],
-        ["masks per second, frames", f"{walk['masks_per_s']:.0f}, {walk['frames']:,}"],
-        ["Mbit/s of masks", f"{walk['mbit_per_s']:.2f}"],
-        [
-            "age of the mask in use, ms, p50 / p99",
-            f"{walk['age_ms']['p50']:.0f} / {walk['age_ms']['p99']:.0f}",
-        ],
-        ["frames with holes", str(walk["holes"])],
-        ["JOD lost against local cuts, mean / most", _jod_lost(walk)],
-        ["clients, half of them hostile; seconds", f"{many['clients']}; {many['seconds']:.0f}"],
-        [
-            "masks per second of an honest one, of as many views: alone / beside the hostile",
-            f"{many['alone_per_s']['mean']:.2f} / {many['beside_hostile_per_s']['mean']:.2f} "
-            f"of {many['asked_per_s']:.0f}",
-        ],
-        ["honest clients lost, clients let in without the token", _let_in(many)],
-        ["server's memory, MiB: alone, most; growth per minute", _memory(many)],
-    ]
-    return _with_provenance(markdown(["", ""], rows), "remote")
-
-
-def _jod_lost(walk: dict[str, Any]) -> str:
-    lost = walk["jod_lost_against_finest"]
-    return f"{lost['mean']:.3f} / {lost['most']:.3f}"
-
-
-def _let_in(many: dict[str, Any]) -> str:
-    return f"{many['honest_lost']}, {many['admitted_without_token']}"
-
-
-def _memory(many: dict[str, Any]) -> str:
-    return f"{many['mib_alone']:.0f}, {many['mib_most']:.0f}; {many['mib_per_minute']:+.1f}"
+    many, lost = found["many"], found["walk"]["jod_lost_against_finest"]
+    rates = " / ".join(f"{many[f'{name}_per_s']['mean']:.2f}" for name in ("alone", "beside_hostile"))
+    memory, asked = f"{many['mib_alone']:.0f}, {many['mib_most']:.0f}", many["asked_per_s"]
+    text = form.format(**found, lost=lost, rates=rates, memory=memory, asked=asked)
+    return _table(" | ", text.splitlines(), "remote")
 
 
 def headlines() -> str:
     """README's figures, one line each."""
-    return markdown(["what", "figure"], [list(line()) for line in _HEADLINES])
+    return markdown("what | figure", [" | ".join(line()) for line in _HEADLINES])
 
 
 def _speed() -> tuple[str, str]:
@@ -474,8 +388,7 @@ def _break_even() -> tuple[str, str]:
 
 
 def _against_baselines() -> tuple[str, str]:
-    from hybrid.evaluation.result_keys import OURS_KEY
-    from hybrid.evaluation.results import Results
+    from hybrid.evaluation.results import OURS_KEY, Results
 
     found = Results(result("evaluation"))
     texts = []
@@ -490,22 +403,18 @@ def _against_baselines() -> tuple[str, str]:
         texts.append(
             f"{region} {metric.upper()} {ours:{form}}, best baseline ({best.method}) {known[best]:{form}}"
         )
-    return "`room`, 512x512, means over the views: a fused frame against baselines at equal time", "; ".join(
-        texts
-    )
+    what = "`room`, 512x512, means over the views: a fused frame against baselines at equal time"
+    return what, "; ".join(texts)
 
 
 def _fused() -> tuple[str, str]:
     rows = {(row["spp"], row["fovea"]): row["quality"]["foveal psnr"] for row in result("denoiser")["rows"]}
     gains = [
         f"{rows[spp, 'fused'] - rows[spp, 'denoised']:+.1f} dB at {spp} spp"
-        for spp, mode in rows
-        if mode == "raw"
+        for spp in dict.fromkeys(spp for spp, _ in rows)
     ]
-    return (
-        "the same, three unseen views: a fused fovea against a denoised one, over a draft forest",
-        ", ".join(gains),
-    )
+    what = "the same, three unseen views: a fused fovea against a denoised one, over a draft forest"
+    return what, ", ".join(gains)
 
 
 def _window() -> tuple[str, str]:
@@ -528,7 +437,7 @@ def _prepared() -> tuple[str, str]:
 
 
 def _periphery() -> tuple[str, str]:
-    row = next(row for row in result("periphery") if row["acuity_model"] == DEFAULT_ACUITY_MODEL)
+    row = next(row for row in result_rows("periphery") if row["acuity_model"] == DEFAULT_ACUITY_MODEL)
     quality = "" if row["jod"] is None else f" ({row['jod']:.2f} JOD)"
     full, ours = (f"{row[name]['p50']:.0f} ms" for name in ("full_ms", "periphery_ms"))
     text = f"{full} at full detail, {ours}{quality} with `{DEFAULT_ACUITY_MODEL}`"
@@ -548,10 +457,8 @@ def _integrator() -> tuple[str, str]:
 
 
 def _registration() -> tuple[str, str]:
-    return (
-        "registration of splats with the path-traced frame",
-        f"{result('quickstart')['registration_px']:.2f} px",
-    )
+    figure = f"{result('quickstart')['registration_px']:.2f} px"
+    return "registration of splats with the path-traced frame", figure
 
 
 def _rasterizer() -> tuple[str, str]:
@@ -561,13 +468,11 @@ def _rasterizer() -> tuple[str, str]:
 
 
 def _card() -> tuple[str, str]:
-    rows = {(row["width"], row["mode"], row["live"]): row["wall_ms"]["p50"] for row in result("card-frame")}
+    found = measured("card-frame")
+    rows = {(row["width"], row["mode"], row["live"]): row["wall_ms"]["p50"] for row in found["result"]}
     text = f"{rows[1920, 'fused', False]:.0f} ms, in the window {rows[1920, 'fused', True]:.0f} ms"
-    card = measured("card-frame")["machine"]["gpu"]
-    return (
-        f"fused frame of `room`, 1920x1080, 1 spp, on a card ({card}, {measured('card-frame')['date']})",
-        text,
-    )
+    card = f"{found['machine']['gpu']}, {found['date']}"
+    return f"fused frame of `room`, 1920x1080, 1 spp, on a card ({card})", text
 
 
 _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
@@ -575,20 +480,8 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
     *(_periphery, _integrator, _registration, _rasterizer, _card),
 )
 _MADE = (
-    *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators),
-    *(
-        periphery,
-        levels,
-        acuity,
-        studies,
-        frames,
-        raster,
-        window,
-        late_warp,
-        remote,
-        stored,
-        colmap,
-    ),
+    *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators, periphery, levels),
+    *(acuity, studies, frames, raster, window, late_warp, remote, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

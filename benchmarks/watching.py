@@ -9,7 +9,6 @@ dimmed lamp, a moved object, another texture.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import re
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import hybrid
+from benchmarks import parser_of, report
 from compose.eye.gaze import Gaze
 from hybrid.base.progress import no_progress
 from hybrid.preparation.forest_errors import Judges
@@ -56,16 +56,12 @@ _CHANGES = {
 }
 
 
-def _quiet(done: int, total: int, label: str) -> None:
-    """Ignores progress."""
-
-
 def _watch(source: FrameSource, seconds: float, times: list[float] | None = None) -> None:
     """Shows frames while the gaze moves, as the window does."""
     camera, end, number = source.camera.resized(*_SIZE), time.perf_counter() + seconds, 0
     while (start := time.perf_counter()) < end:
         number += 1
-        source.renew(_quiet)
+        source.renew(no_progress)
         gaze = Gaze(0.5 + 0.3 * math.sin(0.1 * number), 0.5 + 0.3 * math.sin(0.2 * number))
         source.show(Request(replace(INTERACTIVE, camera=camera, gaze=gaze)), quick=True)
         if times is not None:
@@ -73,7 +69,7 @@ def _watch(source: FrameSource, seconds: float, times: list[float] | None = None
 
 
 def _source(scene: str, learns: bool) -> FrameSource:
-    return prepared(ShownScene(scene), None, learns, INTERACTIVE, _quiet, lambda line: None)
+    return prepared(ShownScene(scene), None, learns, INTERACTIVE, no_progress, lambda line: None)
 
 
 def _first(scene: str) -> None:
@@ -142,10 +138,9 @@ def _changes(folder: Path) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """Measures, and prints or writes the figures."""
-    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments = parser_of(__doc__)
     arguments.add_argument("scenes", nargs="*")
     arguments.add_argument("--first", metavar="SCENE", help=argparse.SUPPRESS)
-    arguments.add_argument("--json", type=Path)
     given = arguments.parse_args()
     select_backend()
     if given.first:
@@ -159,11 +154,7 @@ def main() -> None:
             found["ms"][name] = _rates(scene)
         os.environ["HYBRID_HOME"] = f"{folder}/changes"
         found["changes"] = _changes(Path(folder))
-    text = json.dumps(found, indent=1)
-    if given.json is None:
-        print(text)
-    else:
-        given.json.write_text(text)
+    report(found, given.json)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from its event to the frame that the page is painted with, both on the page's cl
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import parser_of
 from benchmarks.studies import chromium
 from compose.base.files import json_text
 
@@ -33,20 +33,10 @@ def measure(words: list[str], browser: bool) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "window.json"
-        command = [
-            sys.executable,
-            "-m",
-            "hybrid.cli.main",
-            "demo",
-            *words,
-            "--out",
-            folder,
-            "--json",
-            str(file),
-        ]
+        command = [sys.executable, "-m", "hybrid.cli.main", "demo", *words]
+        command += ["--out", folder, "--json", str(file), *(["--browser"] if browser else [])]
         environment = os.environ | {"QT_QPA_PLATFORM": "offscreen", "PYTHONUNBUFFERED": "1"}
-        more = ["--browser"] if browser else []
-        with subprocess.Popen([*command, *more], env=environment, stdout=subprocess.PIPE, text=True) as demo:
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as demo:
             assert demo.stdout is not None
             if browser:
                 address = next((line for line in demo.stdout if line.startswith(_OPENED)), "")
@@ -62,14 +52,11 @@ def measure(words: list[str], browser: bool) -> dict[str, Any]:
 
 def main() -> None:
     """Measures, prints the medians, and writes all figures."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("scene")
     parser.add_argument("--forest")
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     words = [given.scene, "--bench", str(given.seconds)]
     words += ["--forest", given.forest] if given.forest else []

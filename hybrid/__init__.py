@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from compose.eye.display import Display as Display
     from compose.eye.gaze import Gaze as Gaze
     from compose.fovea.foveation import FoveaMode as FoveaMode
-    from hybrid.api.evaluation_report import evaluate as evaluate
     from hybrid.api.workflow import capture as capture
+    from hybrid.api.workflow import evaluate as evaluate
     from hybrid.api.workflow import load_forest as load_forest
     from hybrid.api.workflow import load_frames as load_frames
     from hybrid.api.workflow import load_scene as load_scene
@@ -50,8 +50,7 @@ _NAMES = {
     "compose.eye.display": "Display",
     "compose.eye.gaze": "Gaze",
     "compose.fovea.foveation": "FoveaMode",
-    "hybrid.api.evaluation_report": "evaluate",
-    "hybrid.api.workflow": "capture load_forest load_frames load_scene plan prepare train",
+    "hybrid.api.workflow": "capture evaluate load_forest load_frames load_scene plan prepare train",
     "hybrid.evaluation.evaluation_settings": "EvaluationSettings",
     "hybrid.preparation.stages": "PreparationSettings",
     "hybrid.render.frame": "Frame",

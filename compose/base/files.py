@@ -69,6 +69,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         raise UserError(f"{str(path)!r}"[1:-1] + f": cannot be written ({reason})") from error
 
 
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file as UTF-8, whole or not at all; UserError if it cannot be written."""
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
 def _write_beside(path: Path, write: Callable[[Path], object]) -> None:
     # The extension stays: libraries choose the format by it.
     extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""

@@ -1,4 +1,4 @@
-"""Loads scenes, frame sets and forests; plans and captures scenes, prepares and trains forests.
+"""Loads scenes, frame sets and forests; plans and captures scenes, trains forests, evaluates frames.
 
 `progress` is called with steps done, steps in total, and what is being done, such as "stage 1: frames
 (samples)"; each part of a job counts its own steps. All else is logged by the logger "hybrid".
@@ -14,6 +14,7 @@ from pathtrace.scene.backend import select_backend
 from pathtrace.trace.integrator import Integrator, integrator_named
 
 if TYPE_CHECKING:
+    from hybrid.evaluation.evaluation_settings import EvaluationSettings
     from hybrid.preparation.stages import PreparationSettings
     from hybrid.preparation.training_views import Frames
     from pathtrace.dataset.frame_set import CaptureSettings, FrameSet
@@ -201,3 +202,53 @@ def load_forest(path: Path | str) -> Forest:
     from splat.io.forest_file import load_forest as load
 
     return load(Path(path))
+
+
+def evaluate(
+    scene: Scene,
+    forest: Forest,
+    folder: Path | str,
+    settings: EvaluationSettings | None = None,
+    *,
+    baseline_forest: Path | str | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Compares hybrid frames with baselines at equal rays and at equal time; resumes if interrupted.
+
+    Writes index.html (a page that requires no server), evaluation.json and all images. Metrics run in
+    processes of their own: call it from a program under `if __name__ == "__main__":`.
+
+    Args:
+        scene, forest: what is rendered; a scene without a plan has the paths planned for the forest.
+        folder: for the report; the evaluation resumes from what it finds there.
+        settings: what to measure; the defaults of EvaluationSettings if None.
+        baseline_forest: forest file of Gaussians without trees (trained with one layer) to compare with.
+        progress: called with work done, work in total (of the whole evaluation, in expected milliseconds),
+            and the current activity.
+
+    Returns:
+        The content of evaluation.json: scene, settings, display, references, methods, quality (rows of view,
+        method, budget, region, metric, value), time (rows of method, budget, ms, passes), machine.
+
+    Raises:
+        UserError: the settings cannot be measured, a forest belongs to another scene, or the folder holds
+            another evaluation.
+    """
+    from compose.base.files import json_text, write_text
+    from hybrid.base.identity import require_scene
+    from hybrid.evaluation.evaluation import Evaluation
+    from hybrid.evaluation.evaluation_page import write_report
+    from hybrid.evaluation.evaluation_settings import EvaluationSettings
+    from hybrid.render.forest_attachments import scene_as_trained
+
+    settings = settings or EvaluationSettings()
+    settings.require_measurable()
+    scene, folder, flat = scene_as_trained(scene, forest), Path(folder), None
+    if baseline_forest is not None:
+        flat = load_forest(baseline_forest)
+        require_scene(flat, scene.name, scene.hash, baseline_forest)
+    evaluation = Evaluation(scene, forest, settings, folder, flat)
+    found = evaluation.run(lambda activity, done, total: progress(int(done), int(total), activity))
+    write_text(folder / "evaluation.json", json_text(found))
+    write_report(folder)
+    return found

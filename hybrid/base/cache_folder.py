@@ -15,7 +15,7 @@ from pathlib import Path
 import platformdirs
 
 from compose.base.errors import UserError, claimed_scene
-from compose.base.files import write_whole
+from compose.base.files import write_text
 from pathtrace.dataset.frame_set import FrameSet
 from pathtrace.scene.scene import Scene
 from splat.io.forest_file import save_forest, scene_of_forest
@@ -50,7 +50,7 @@ def store_forest(forest: Forest, name: str) -> None:
 
 
 def newest_forest(scene: Scene) -> Path | None:
-    """As `newest_forest_of` the scene's name and hash."""
+    """File of the forest that was stored last for a scene; None if there is none."""
     return newest_forest_of(scene.name, scene.hash)
 
 
@@ -74,8 +74,7 @@ def newest_forest_of(name: str, digest: str) -> Path | None:
 
 def keep_receipt(frames: FrameSet) -> None:
     """Notes that a frame set was captured here, as its files are now; UserError if it cannot be noted."""
-    text = f"{frames.folder.resolve()}\n"
-    write_whole(_receipt(frames), lambda part: part.write_text(text))
+    write_text(_receipt(frames), f"{frames.folder.resolve()}\n")
 
 
 def has_receipt(frames: FrameSet) -> bool:

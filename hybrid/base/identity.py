@@ -1,4 +1,4 @@
-"""Identities of cached results: inputs, code and machine, so that different ones are never mixed."""
+"""Identities of cached results, and journals of them: different inputs, code or machines are never mixed."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ import hashlib
 import json
 import os
 import platform
+import zlib
+from collections import UserDict
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import mitsuba as mi
 
 from compose.base.errors import UserError, one_line
+from compose.base.files import locked, read_json, write_text
 
 if TYPE_CHECKING:
     from pathtrace.dataset.frame_set import FrameSet
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
-
+T = TypeVar("T")
 _LIBRARIES = ("mitsuba", "drjit", "torch", "numpy")
 # The packages of this project, and the library whose version `machine` does not have.
 _PACKAGES, _DENOISER = ("compose", "pathtrace", "splat", "hybrid"), "mitsuba-oidn"
@@ -58,7 +62,7 @@ def _first_value(file: Path, name: str) -> str | None:
     return next((value.strip() for key, value in pairs if key.strip() == name), None)
 
 
-def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str, Any]:
+def measured_identity(scene: Scene, forest: Forest, **settings: object) -> dict[str, Any]:
     """Everything that measured times and quality depend on: what was measured, the code and the machine.
 
     The settings are everything else that the results depend on, in types that JSON has.
@@ -114,3 +118,76 @@ def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, sou
         f"{source} belongs to scene {item.scene_name} ({item.scene_hash[:8]}), "
         f"not to {scene_name} ({scene_hash[:8]}){changed}"
     )
+
+
+_CHECKSUM = "crc32"
+# More than the results of thousands of evaluations.
+_MOST_BYTES = 1 << 30
+
+
+class Journal(UserDict[str, Any]):
+    """Named results so far in one JSON file, from which work resumes; each is saved at once.
+
+    The identity is everything that the results depend on, in types that JSON has. UserError if the file is
+    damaged, or belongs to another identity.
+    """
+
+    def __init__(self, path: Path, identity: dict[str, Any]):
+        self._path = path
+        self._identity = identity
+        self.data = self._stored()
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """The result with that name; computed and saved if there is none yet."""
+        if name not in self:
+            self[name] = make()
+        found: T = self[name]
+        return found
+
+    def __setitem__(self, name: str, result: object) -> None:
+        self.data[name] = result
+        self.write()
+
+    def remove(self) -> None:
+        """Deletes the file when the work is complete."""
+        self._path.unlink(missing_ok=True)
+
+    def write(self) -> None:
+        """Saves all results, beside those that another process saved meanwhile.
+
+        Needed only after a result was changed in place. UserError if the file cannot be written, is damaged,
+        or belongs to another identity by now.
+        """
+        content = {"identity": self._identity, "results": self.data}
+        # What JSON cannot hold is noticed before anything is touched.
+        json.dumps(content)
+        try:
+            with locked(self._path.parent):
+                self.data |= {n: r for n, r in self._stored().items() if n not in self.data}
+                text = json.dumps({**content, _CHECKSUM: _checksum(content)}) + "\n"
+                write_text(self._path, text)
+        except OSError as error:
+            raise UserError(f"{self._path}: cannot be written ({error.strerror})") from error
+
+    def _stored(self) -> dict[str, Any]:
+        """The results in the file; empty if there is none."""
+        try:
+            # Python writes infinities, such as the PSNR of equal images.
+            found = read_json(self._path, _MOST_BYTES, finite=False)
+            theirs, results = dict(found["identity"]), dict(found["results"])
+            if found.pop(_CHECKSUM, None) not in (None, _checksum(found)):
+                raise ValueError("the checksum differs")
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(
+                f"{self._path}: is damaged ({one_line(repr(error))}); delete it to start again"
+            ) from error
+        what, advice = f"{self._path.parent}: holds results", "choose another folder"
+        require_same(theirs, self._identity, what, advice)
+        return results
+
+
+def _checksum(content: dict[str, Any]) -> str:
+    """Eight hexadecimal digits of what JSON says of a content."""
+    return f"{zlib.crc32(json.dumps(content, sort_keys=True).encode()):08x}"

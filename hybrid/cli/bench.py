@@ -24,13 +24,12 @@ def raster(
     seed: o.Seed = 0,
     repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3, max=o.MOST_FRAMES)] = 50,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Time the rasterizer and its gradient on random Gaussians that are already on the device."""
     o.require_size(size)
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.evaluation.raster_bench import bench_raster
+    from hybrid.evaluation.splat_bench import bench_raster
 
     with progress_bar("bench (rounds)") as bar:
         row = bench_raster(gaussians, size, seed, repeats, warm_up=5, progress=bar)
@@ -38,7 +37,7 @@ def raster(
         times = row[f"{name}_ms"]
         print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
     print(f"pairs: {row['pairs']:,}")
-    o.write_json(json_file, {**row, "machine": machine()})
+    return {**row, "machine": machine()}
 
 
 def integrator(
@@ -51,8 +50,7 @@ def integrator(
     sensor: o.Sensor = None,
     override: o.Override = None,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Compare error, time and bias of both integrators on raw frames."""
     o.select(backend)
     from hybrid.base.identity import machine
@@ -76,7 +74,7 @@ def integrator(
         print(
             f"{row['integrator']:<22}{row['mean']:>+9.2%}{row['worst_block']:>13.1%}{row['p95_block']:>22.1%}"
         )
-    o.write_json(json_file, {**found, "scene": loaded.name, "machine": machine()})
+    return {**found, "scene": loaded.name, "machine": machine()}
 
 
 def periphery(
@@ -89,13 +87,12 @@ def periphery(
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Time the periphery with each acuity model against full level and rate, and measure its quality."""
     settings = FrameSettings(fov_a=fov_b, fov_b=fov_b, display=display)
     o.select(backend)
     from hybrid.base.identity import machine
-    from hybrid.evaluation.periphery_bench import bench_periphery, display_camera
+    from hybrid.evaluation.splat_bench import bench_periphery, display_camera
     from hybrid.measure.perceptual_metrics import INSTALL
     from hybrid.preparation.preparation import with_forest
 
@@ -115,7 +112,7 @@ def periphery(
         )
     if rows[0]["jod"] is None:
         print(INSTALL)
-    o.write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+    return [{**row, "scene": loaded.name, "machine": machine()} for row in rows]
 
 
 def frame(
@@ -134,8 +131,7 @@ def frame(
     sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Time whole frames in each mode, still and live, while the gaze moves, and count bytes on the host.
 
     Without --backend, this is done on each available backend in turn.
@@ -168,7 +164,7 @@ def frame(
             f"{wall['p50']:>8.1f} {wall['p95']:>6.1f} {row['kernels_ms']:>11.1f} {row['launches']:>9} "
             f"{row['host_bytes']:>13,}  " + ", ".join(f"{name} {medians[name]:.1f}" for name in longest)
         )
-    o.write_json(json_file, rows)
+    return rows
 
 
 def on_llvm(arguments: list[str]) -> list[dict[str, Any]]:
@@ -202,8 +198,7 @@ def moving(
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Play a scene that moves, as in the window, and compare its frames with other methods, by region."""
     o.select(backend)
     from hybrid.base.identity import machine
@@ -233,11 +228,9 @@ def moving(
         more += [] if shift is None else [f"what moves is off by {shift:.2f} px"]
         if more:
             print(f"{method}: {', '.join(more)}")
-    o.write_json(
-        json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
-    )
+    return {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
 
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
 for command in (raster, integrator, periphery, frame, moving):
-    bench_app.command()(command)
+    bench_app.command()(o.with_json(command))

@@ -54,8 +54,7 @@ def capture(
     override: o.Override = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Render training frames; resumes if interrupted."""
     o.select(backend)
     from hybrid.base.cache_folder import keep_receipt
@@ -77,7 +76,9 @@ def capture(
     with progress_bar("capture (samples)") as bar:
         found = run(loaded, Path(frames), settings, bar, cache)
     keep_receipt(found)
-    row = {
+    seconds = time.perf_counter() - start
+    print(f"{len(found.training)} training views and {len(found.held_out)} held-out views in {frames}")
+    return {
         "scene": found.scene_name,
         "views": len(found.training),
         "held_out": len(found.held_out),
@@ -85,7 +86,5 @@ def capture(
         "height": size[1],
         "spp": settings.spp,
         "integrator": found.integrator,
-        "seconds": time.perf_counter() - start,
+        "seconds": seconds,
     }
-    o.write_json(json_file, row)
-    print(f"{row['views']} training views and {row['held_out']} held-out views in {frames}")

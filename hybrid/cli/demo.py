@@ -110,8 +110,7 @@ def demo(
     ] = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Look around in a window: the mouse is the gaze, and what is path-traced follows it."""
     o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
@@ -168,15 +167,14 @@ def demo(
 
         run_window(viewer)
     found, summary = viewer.measured()
-    o.write_json(json_file, found)
     if bench is not None:
         print(summary)
+    return found
 
 
 def _server(
     scene: str | None, server: str | None, token_file: Path | None, authority: Path | None
 ) -> Server | None:
-    """The server that has what is shown; None for a scene that is here."""
     if (scene is None) == (server is None):
         raise UserError("SCENE, --server: name one of them")
     if server is None:

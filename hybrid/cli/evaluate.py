@@ -53,8 +53,7 @@ def evaluate(
     sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
     frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
@@ -62,10 +61,9 @@ def evaluate(
     settings.require_measurable()
     o.check_writable(report / "index.html")
     o.select(backend)
-    from hybrid.api.evaluation_report import evaluate as run
+    from hybrid.api.workflow import evaluate as run
     from hybrid.base.identity import require_scene
-    from hybrid.evaluation.result_keys import HALVES_KEY
-    from hybrid.evaluation.results import Results, verdicts
+    from hybrid.evaluation.results import HALVES_KEY, Results, verdicts
     from hybrid.measure.frame_quality import missing
     from hybrid.preparation.preparation import with_forest
     from hybrid.render.forest_attachments import scene_as_trained
@@ -88,23 +86,22 @@ def evaluate(
             baseline_forest=baseline_forest,
             progress=lambda done, total, what: bar(int(1000 * done / total), 1000, what),
         )
-    o.write_json(json_file, found)
     for line in (*missing(), *verdicts(found), report / "index.html"):
         print(line)
     # Foveal and whole quality of each method, mean over the views, beside its time.
     results = Results(found)
     keys = [HALVES_KEY, *results.keys]
     means = {
-        (region, metric): [results.mean(key, region, metric) for key in keys]
+        f"{region[:3]} {metric}": [results.mean(key, region, metric) for key in keys]
         for region in ("foveal", "whole")
         for metric in ("psnr", "ssim", "flip", "jod")
     }
-    columns = {key: values for key, values in means.items() if None not in values}
-    head = "".join(f"{region[:3] + ' ' + metric:>10}" for region, metric in columns)
+    columns = {name: values for name, values in means.items() if None not in values}
     labels = [results.budget_label(key) for key in keys]
     width = max(12, 2 + max(map(len, labels)))
-    print(f"{'method':<34}{'budget':<{width}}{'ms':>6}{head}")
-    for number, key in enumerate(keys):
-        cells = "".join(f"{values[number]:>10.4g}" for values in columns.values())
+    print(f"{'method':<34}{'budget':<{width}}{'ms':>6}" + "".join(f"{name:>10}" for name in columns))
+    for key, label, *values in zip(keys, labels, *columns.values(), strict=True):
         milliseconds = round(results.times[key]) if key in results.times else "-"
-        print(f"{key[0]:<34}{labels[number]:<{width}}{milliseconds:>6}{cells}")
+        cells = "".join(f"{value:>10.4g}" for value in values)
+        print(f"{key.method:<34}{label:<{width}}{milliseconds:>6}{cells}")
+    return found

@@ -198,7 +198,6 @@ def _of_gltf(document: Document) -> Gaussians | None:
 
 
 def _import_scene(document: Document, target: Path, fps: float | None, animation: str | None) -> None:
-    """Writes a folder with the scene of a glTF file, and says what it is."""
     o.select("auto")
     from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
 

@@ -9,23 +9,21 @@ import sys
 import typer
 
 from compose.base.errors import UserError
+from hybrid.cli import options as o
 from hybrid.cli.bench import bench_app
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_file, import_file
-from hybrid.cli.levels import levels
-from hybrid.cli.plan import plan
-from hybrid.cli.prepare import prepare
+from hybrid.cli.prepare import plan, prepare, quickstart
 from hybrid.cli.progress import messages_as_lines
-from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
 from hybrid.cli.serve import serve
 from hybrid.cli.study import study_app
 from hybrid.cli.sweep import sweep
-from hybrid.cli.train import train
+from hybrid.cli.train import levels, train
 
 app = typer.Typer(
     add_completion=False,
@@ -48,7 +46,7 @@ for command in (
     evaluate,
     sweep,
 ):
-    app.command()(command)
+    app.command()(o.with_json(command))
 app.command("export")(export_file)
 app.command("import")(import_file)
 app.add_typer(study_app, name="study")

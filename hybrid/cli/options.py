@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, wraps
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
 from compose.base.errors import MOST_SEED, UserError
-from compose.base.files import json_text, write_whole
+from compose.base.files import json_text, write_text
 from compose.camera.camera import Camera
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_LEVEL, MOST_SPP, FrameSettings
@@ -45,7 +46,6 @@ def check_writable(path: Path | None) -> None:
 
 
 def _writable(path: Path | None) -> Path | None:
-    """The file of `--json`; refused before long work if it cannot be written."""
     try:
         check_writable(path)
     except UserError as error:
@@ -195,6 +195,25 @@ Json = Annotated[
 ]
 
 
+# What a command has measured.
+Measured: TypeAlias = dict[str, Any] | list[dict[str, Any]]
+
+
+def with_json(command: Callable[..., Measured | None]) -> Callable[..., object]:
+    """A command with --json, which writes what the command returns, unless it has that option itself."""
+    own = signature(command, eval_str=True)
+    if "json_file" in own.parameters:
+        return command
+
+    @wraps(command)
+    def run(*, json_file: Path | None, **given: object) -> None:
+        write_json(json_file, command(**given))
+
+    last = Parameter("json_file", Parameter.KEYWORD_ONLY, default=None, annotation=Json)
+    run.__dict__["__signature__"] = own.replace(parameters=[*own.parameters.values(), last])
+    return run
+
+
 def given(context: typer.Context, name: str) -> bool:
     """Whether an option was given on the command line, not left at its default."""
     found = context.get_parameter_source(name)
@@ -293,8 +312,7 @@ def require_size(size: tuple[int, int], least: int = 1) -> None:
         raise UserError(f"--size {size[0]} {size[1]}: must be at most {_MOST_SIDE} each")
 
 
-def write_json(path: Path | None, content: Any) -> None:
+def write_json(path: Path | None, content: object) -> None:
     """Writes what was measured, if `--json` asks for it; the file appears whole or not at all."""
     if path is not None:
-        text = json_text(content)
-        write_whole(path, lambda part: part.write_text(text))
+        write_text(path, json_text(content))

@@ -21,6 +21,7 @@ from hybrid.cli.render_frames import (
     refuse_tracing,
     render_splats,
     render_views,
+    splat_facts,
     splat_renderer,
     view_of,
     write_frames,
@@ -126,8 +127,7 @@ def render(
     sensor: o.Sensor = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace.
 
     A folder of third-party posed images (D-NeRF, nerfstudio, COLMAP, Nerfies, HyperNeRF, NeRF-DS) has no
@@ -179,8 +179,7 @@ def render(
         else:
             settings = replace(settings, camera=shown.camera, time=shown.time)
             facts = render_splats(output, detail, eyes, splats, settings)
-        o.write_json(json_file, {"scene": images.scene_name, **facts})
-        return
+        return {"scene": images.scene_name, **facts}
     from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, max_depth, thin_glass, sensor)
@@ -198,26 +197,22 @@ def render(
     settings.layers_of(len(found.counts))
     o.fill_irradiance(loaded, settings)
     if trace is None:
-        facts = _render_frames(output, detail, eyes, loaded, found, settings, seed)
-    else:
-        facts = _render_video(
-            output, loaded, found, settings, trace.on(settings.display, *pixels), fps or _FPS, seed
-        )
-    o.write_json(json_file, facts)
+        return _render_frames(output, detail, eyes, loaded, found, settings, seed)
+    on_frame = trace.on(settings.display, *pixels)
+    return _render_video(output, loaded, found, settings, on_frame, fps or _FPS, seed)
 
 
 def _check_measured(settings: FrameSettings, max_depth: int | None) -> None:
     """Refuses a target with settings with which nothing is measured that could be chosen."""
-    cells = settings.paths is Placement.WHERE_NEEDED
     given = {
-        "--layers": settings.layers,
-        "--level": settings.level,
-        "--gaussians": settings.gaussians,
-        "--max-depth": max_depth,
-        "--paths where-needed": cells or None,
+        "--layers": settings.layers is not None,
+        "--level": settings.level is not None,
+        "--gaussians": settings.gaussians is not None,
+        "--max-depth": max_depth is not None,
+        "--paths where-needed": settings.paths is Placement.WHERE_NEEDED,
     }
-    for option, value in given.items():
-        if value is not None:
+    for option, is_given in given.items():
+        if is_given:
             raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
 
 
@@ -311,7 +306,6 @@ def measuring_command(
 
 
 def _check_layers(settings: FrameSettings) -> None:
-    """Refuses layers that no forest has, before one may have to be trained."""
     if settings.layers is None:
         return
     low, high = settings.layers
@@ -322,7 +316,6 @@ def _check_layers(settings: FrameSettings) -> None:
 
 
 def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_video: bool) -> None:
-    """Refuses files that cannot be written, and frames that they cannot hold, before the work begins."""
     kinds = (".mp4",) if is_video else (".exr", ".png")
     if output.suffix.lower() not in kinds:
         of_what = " of a gaze trace" if is_video else ""
@@ -340,7 +333,6 @@ def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_vid
 def _loaded_trace(
     file: Path | None, gaze: tuple[float, float] | None, fps: int | None, is_path: bool
 ) -> GazeTrace | AngularTrace | None:
-    """The gaze trace, if there is one; a video along a path may have none."""
     from hybrid.render.video import MOST_FRAMES
 
     if file is None:
@@ -353,7 +345,6 @@ def _loaded_trace(
 
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_video: bool) -> Camera:
-    """The camera: from a file, else the scene's own, at the size that was asked for."""
     from hybrid.render.image_files import check_video
 
     camera = o.sized(scene.camera if file is None else scene.place.camera(_read_camera(file)), size)
@@ -363,7 +354,6 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
 
 
 def _read_camera(file: Path) -> Camera:
-    """The camera of a file, in the world."""
     try:
         return camera_from_json(read_json(file))
     except OSError as error:
@@ -433,20 +423,13 @@ def _render_video(
 
 def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
     camera, settings = settings.resolved(scene.camera)
+    names = ("spp", "fov_a", "fov_b", "level", "gaussians")
     return {
         "scene": scene.name,
-        "width": camera.width,
-        "height": camera.height,
-        "spp": settings.spp,
-        "fov_a": settings.fov_a,
-        "fov_b": settings.fov_b,
-        "time": settings.time,
+        **splat_facts(settings, camera),
+        **{name: getattr(settings, name) for name in names},
         "fovea": settings.fovea.value,
         "paths": settings.paths.value,
         "integrator": settings.used_integrator.value,
         "unbiased": settings.is_unbiased,
-        "acuity_model": settings.acuity_model,
-        "level": settings.level,
-        "gaussians": settings.gaussians,
-        "pixels_per_degree": settings.display.pixels_per_degree,
     }

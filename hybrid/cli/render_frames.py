@@ -112,7 +112,7 @@ def render_splats(
     # A forest alone knows no depth.
     settings = replace(settings, aovs=("splat",) if aovs_of_file(output) else ())
     assert settings.camera is not None
-    return _facts(settings, settings.camera) | write_frames(
+    return splat_facts(settings, settings.camera) | write_frames(
         output,
         detail,
         settings.camera,
@@ -146,10 +146,11 @@ def render_views(
     with progress_bar("video (frames)") as bar:
         times = render_splat_video(output, renderer, settings, path, seconds, fps, bar, on_frame)
     print(f"{output}: {len(times)} frames of {camera.width} x {camera.height}")
-    return _facts(replace(settings, time=first.time), camera) | {"fps": fps, "frames": times}
+    return splat_facts(replace(settings, time=first.time), camera) | {"fps": fps, "frames": times}
 
 
-def _facts(settings: FrameSettings, camera: Camera) -> dict[str, Any]:
+def splat_facts(settings: FrameSettings, camera: Camera) -> dict[str, Any]:
+    """What `--json` says of frames of any kind."""
     return {
         "width": camera.width,
         "height": camera.height,

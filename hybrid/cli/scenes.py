@@ -27,8 +27,7 @@ def scenes(
     ] = None,
     sensor: o.Sensor = None,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """List the bundled scenes and their facts, or examine one scene."""
     o.select(backend)
     from pathtrace.scene.scene import bundled_scenes
@@ -39,12 +38,11 @@ def scenes(
         loaded = o.loaded_scene(scene, sensor=sensor)
         row = _facts(loaded, scene)
         _print_facts(row)
-        o.write_json(json_file, row | {"parity": _compare(loaded, scene, sensor)})
-        return
+        return row | {"parity": _compare(loaded, scene, sensor)}
     rows = [_facts(o.loaded_scene(name), str(file)) for name, file in bundled_scenes().items()]
     for row in rows:
         _print_facts(row)
-    o.write_json(json_file, rows)
+    return rows
 
 
 def _compare(scene: Scene, source: str, sensor: str | None) -> dict[str, Any] | None:

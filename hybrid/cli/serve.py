@@ -47,8 +47,7 @@ def serve(
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Tell clients which Gaussians to draw for what they look at, until interrupted."""
     from hybrid.window.remote.server import Limits, Listening, ViewServer, is_loopback, tls_context
 
@@ -88,7 +87,7 @@ def serve(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(server.run(Listening(host, port, tls), announce))
-    o.write_json(json_file, server.facts)
+    return server.facts
 
 
 def read_token(file: Path) -> str:

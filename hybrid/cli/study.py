@@ -27,6 +27,7 @@ _KINDS = "still", "trace", "walk", "play"
 
 
 @study_app.command()
+@o.with_json
 def design(
     folder: _Study,
     scenes: Annotated[
@@ -116,8 +117,7 @@ def design(
     display: o.DisplayName = "desktop",
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Render the stimuli of a study, and write its design; resumes if interrupted."""
     from hybrid.study.clips import PRESETS, Presentation, load_conditions
 
@@ -169,9 +169,9 @@ def design(
         **{name: text for name, text in texts.items() if text},
     )
     made.save(folder)
-    length = len(made.order(0))
-    print(f"{folder}: {planned} observers, {length} trials each, about {made.minutes(0):.0f} minutes")
-    o.write_json(json_file, {"observers": planned, "trials": length, "minutes": made.minutes(0)})
+    length, minutes = len(made.order(0)), made.minutes(0)
+    print(f"{folder}: {planned} observers, {length} trials each, about {minutes:.0f} minutes")
+    return {"observers": planned, "trials": length, "minutes": minutes}
 
 
 def _one_of(option: str, given: str, known: Iterable[str]) -> None:
@@ -180,7 +180,6 @@ def _one_of(option: str, given: str, known: Iterable[str]) -> None:
 
 
 def _text(file: Path | None) -> str:
-    """The text of a file; empty if none is given."""
     from compose.base.errors import reading
 
     if file is None:
@@ -215,7 +214,6 @@ def _rendered(
     conditions: Conditions,
     shown: Presentation,
 ) -> dict[str, list[Clip]]:
-    """The clips of all scenes, rendered with their forests."""
     from hybrid.preparation.preparation import with_forest
     from hybrid.render.frame_renderer import Renderer
     from hybrid.render.irradiance import cache_for
@@ -233,6 +231,7 @@ def _rendered(
 
 
 @study_app.command()
+@o.with_json
 def run(
     folder: _Study,
     observer: Annotated[
@@ -251,8 +250,7 @@ def run(
     ] = None,
     display: o.DisplayName = "desktop",
     seed: o.Seed = 0,
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Run a study with one observer, full screen; closed or killed, it resumes with --observer N."""
     from hybrid.study.design import load_design
     from hybrid.study.session import StudySession, next_observer
@@ -270,8 +268,7 @@ def run(
             SimulatedObserver(loaded, jods, one, seed).run(session)
             session.close()
         print(f"{folder}: observers {number} to {number + simulate - 1} were simulated")
-        o.write_json(json_file, {"observers": [*range(number, number + simulate)], "complete": True})
-        return
+        return {"observers": [*range(number, number + simulate)], "complete": True}
     if not browser:
         from hybrid.window.qt_check import require_window
 
@@ -297,10 +294,11 @@ def run(
         if stream is not None:
             stream.close()
     print(f"{session.file}: " + ("complete" if session.done else "not complete yet"))
-    o.write_json(json_file, {"observers": [number], "complete": session.done})
+    return {"observers": [number], "complete": session.done}
 
 
 @study_app.command()
+@o.with_json
 def analyse(
     source: Annotated[
         Path,
@@ -338,8 +336,7 @@ def analyse(
             help="Leave no observer out, neither by BT.500's screening of votes nor for attention.",
         ),
     ] = False,
-    json_file: o.Json = None,
-) -> None:
+) -> o.Measured:
     """Analyse what observers answered: opinion scores or JOD with intervals, tests, equivalence; one page."""
     from hybrid.study.analysis import AnalysisSettings
     from hybrid.study.analysis import analyse as analysed
@@ -358,9 +355,9 @@ def analyse(
         result["sentences"].insert(1, f"Left out, as they failed to attend: observers {', '.join(dropped)}.")
     write_page(out, result)
     save(out / "answers.csv", found)
-    o.write_json(json_file, result)
     for line in (*result["sentences"], out / "index.html"):
         print(line)
+    return result
 
 
 def _columns(given: list[str] | None) -> dict[str, str]:

@@ -97,16 +97,12 @@ def sweep(
 
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:
-    """The table, with quality if it was measured, and where hybrid frames break even."""
-    from hybrid.evaluation.sweep_tables import quality_cells, sentence, table
+    from hybrid.evaluation.sweep_catalogue import sentence, table
 
     rows = content["rows"]
     made = "" if "fovea" in rows[0] else f", {settings.fovea.value} fovea"
     print(f"{content['scene']}: {content['title']}{made}")
-    columns = table(rows)
-    for name in rows[0].get("quality", {}):
-        if name.split()[1] in ("ssim", "flip", "jod"):
-            columns[name] = quality_cells(rows, name, ".4g")
+    columns = table(rows, dict.fromkeys(("ssim", "flip", "jod"), ".4g"))
     widths = [max(map(len, [name, *cells])) + 2 for name, cells in columns.items()]
     for line in [list(columns), *zip(*columns.values(), strict=True)]:
         print("".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))

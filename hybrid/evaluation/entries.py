@@ -14,13 +14,12 @@ import numpy as np
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import Tuning, families
-from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time
+from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone
-from hybrid.evaluation.result_keys import (
+from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone, Tuning, families
+from hybrid.evaluation.results import (
     EQUAL_RAYS,
     EQUAL_TIME,
     FIXED,
@@ -28,6 +27,7 @@ from hybrid.evaluation.result_keys import (
     HALVES_KEY,
     OURS,
     OURS_KEY,
+    TOLERANCE,
     Key,
     flip_name,
     image_name,
@@ -41,8 +41,8 @@ from hybrid.measure.frame_times import (
     percentiles,
     ratio_of_medians,
 )
+from hybrid.measure.image_metrics import ImageRegion, regions
 from hybrid.measure.reference import Reference
-from hybrid.measure.regions import ImageRegion, regions
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.image_files import write_png
 from pathtrace.trace.tracer import Tracer
@@ -108,9 +108,8 @@ def baseline_entries(
 ) -> list[Entry]:
     """Path-traced baselines with the rays of our entry in the first view, and with its time.
 
-    A baseline that takes more rays even at its cheapest is included as FIXED, with more than ours. One whose
-    settings meet both budgets is included twice. `costs` stores the rays of equal time, so that later
-    evaluations compare the same frames.
+    One that takes more rays even at its cheapest is FIXED; one whose settings meet both budgets is included
+    twice. `costs` stores the rays of equal time, so that later evaluations compare the same frames.
     """
     rays = ours.method.rays(views[0].camera, gaze)
     known = families(tracer, tuning)
@@ -229,12 +228,10 @@ def time_rows(
 ) -> list[dict[str, Any]]:
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 
-    All entries take turns along one gaze path around `gaze` and through the views, of one size, after a
-    warm-up. The camera turns a little from frame to frame, so that no frame reuses what another one, even of
-    another entry, has computed for its view. An entry that is timed briefly has 20 frames instead of
-    `repeats`, and one that would take over 80 seconds fewer. Times that the journal holds are not measured
-    again. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over that of
-    OURS, of frames that were rendered in turns.
+    After a warm-up, all take turns along one gaze path around `gaze` and through the views, of one size. The
+    camera turns a little from frame to frame, so that none reuses what another one has computed. Brief
+    entries have 20 frames instead of `repeats`, those that would take over 80 seconds fewer. `ms_range` is
+    that of the views' medians, `over_ours` the median over that of OURS, of frames rendered in turns.
     """
     times: dict[str, dict[str, list[float]]] = journal.once("times", dict)
     timings = [Timing(entry, times.setdefault(entry.title, {})) for entry in entries]

@@ -13,15 +13,12 @@ from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.image.colour import Image
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import Family, Tuning, WarpTuning, enlarged, warped
-from hybrid.evaluation.methods import Method
+from hybrid.evaluation.methods import Family, Method, Tuning, WarpTuning, enlarged, warped
+from hybrid.evaluation.results import TOLERANCE
 from hybrid.measure.frame_times import jittered_view, path_around, ratio_interval, ratio_of_medians
-from hybrid.measure.image_metrics import has_valid, ssim_map, valid_mean
-from hybrid.measure.regions import regions
+from hybrid.measure.image_metrics import has_valid, regions, ssim_map, valid_mean
 from pathtrace.trace.tracer import Tracer
 
-# Costs count as equal within this share.
-TOLERANCE = 0.03
 # Trials at most.
 _TRIALS = 12
 # Frames of each method per trial, after one that is not measured: in steps of the first number, until the

@@ -16,10 +16,8 @@ from compose.camera.camera import View
 from compose.image.colour import Image
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import device_arrays
-from hybrid.base.identity import machine, measured_identity, short_hash
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal, machine, measured_identity, short_hash
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import Tuning
 from hybrid.evaluation.entries import (
     Entry,
     baseline_entries,
@@ -31,8 +29,8 @@ from hybrid.evaluation.entries import (
 )
 from hybrid.evaluation.equal_cost import tuned
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, TUNING_REDUCTION, EvaluationSettings
-from hybrid.evaluation.methods import SplatsAlone
-from hybrid.evaluation.result_keys import OURS
+from hybrid.evaluation.methods import SplatsAlone, Tuning
+from hybrid.evaluation.results import OURS
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
 from hybrid.render.forest_attachments import plan_of_forest
 from hybrid.render.frame_renderer import Renderer
@@ -145,7 +143,6 @@ class Evaluation:
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 
     def _tuning(self, views: list[View], rays: float, work: WorkProgress) -> Tuning:
-        """Settings of the baselines, found on smaller versions of the views for tuning."""
         settings = self.settings
         size = settings.width // TUNING_REDUCTION, settings.height // TUNING_REDUCTION
         small = [view.resized(*size) for view in views[settings.views :]]

@@ -8,22 +8,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
+from jinja2 import ChoiceLoader, Environment, PackageLoader
 from markupsafe import Markup
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import read_json, write_whole
-from hybrid.evaluation.equal_cost import TOLERANCE
+from compose.base.files import read_json, write_text
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE
-from hybrid.evaluation.result_keys import HALVES_KEY, OURS_KEY, Key, flip_name, image_name
 from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot, sweep_plots
-from hybrid.evaluation.results import WHOLE_METRIC, Results, verdicts
-from hybrid.evaluation.sweep_tables import quality_cells, sentence, table, with_range
+from hybrid.evaluation.results import (
+    HALVES_KEY,
+    OURS_KEY,
+    TOLERANCE,
+    WHOLE_METRIC,
+    Key,
+    Results,
+    flip_name,
+    image_name,
+    verdicts,
+)
+from hybrid.evaluation.sweep_catalogue import sentence, table, with_range
 from hybrid.measure.frame_quality import METRICS, missing
-from hybrid.measure.regions import REGIONS
+from hybrid.measure.image_metrics import REGIONS
 
-_DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
+# How metrics are shown.
+FORMS = {metric: ".2f" if metric in ("psnr", "jod") else ".4f" for metric in METRICS}
 _PERCENTILES = ("p50", "p95", "p99")
 # Images in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 90
@@ -48,13 +57,13 @@ def write_report(folder: Path) -> None:
         **_viewer(results, folder),
         sweeps=[_sweep(sweep) for sweep in sweeps],
     )
-    write_whole(folder / "index.html", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(folder / "index.html", text)
 
 
-def rendered(template: str, **values: Any) -> str:
-    """A page from a template of this room; values are escaped."""
-    templates = Environment(loader=PackageLoader("hybrid.evaluation", "."), autoescape=True)
-    return templates.get_template(template).render(**values)
+def rendered(template: str, room: str = "hybrid.evaluation", **values: object) -> str:
+    """A page from a template of a room; values are escaped."""
+    found = ChoiceLoader([PackageLoader(one, ".") for one in (room, "hybrid.evaluation")])
+    return Environment(loader=found, autoescape=True).get_template(template).render(**values)
 
 
 def evaluated_scene(folder: Path) -> str:
@@ -72,15 +81,14 @@ def evaluated_scene(folder: Path) -> str:
         raise UserError(f"{file}: is damaged ({error}); run hybrid evaluate again") from error
 
 
-def _read(file: Path) -> Any:
+def _read(file: Path) -> dict[str, Any]:
     try:
-        return read_json(file, finite=False)
-    except (OSError, ValueError) as error:
+        return dict(read_json(file, finite=False))
+    except (OSError, ValueError, TypeError) as error:
         raise UserError(f"{file}: is damaged ({one_line(error)}); delete it and make it again") from error
 
 
 def _overview(results: Results) -> dict[str, Any]:
-    """Title, verdicts, and what was measured with what."""
     found = results.found
     settings, machine = found["settings"], found["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
@@ -114,7 +122,7 @@ def quality_table(results: Results, region: str) -> dict[str, Any]:
     rows = []
     for key in [*results.keys, HALVES_KEY]:
         values = [results.mean(key, region, metric) for metric in metrics]
-        cells = ["-" if v is None else f"{v:.{_DIGITS[m]}f}" for v, m in zip(values, metrics, strict=True)]
+        cells = ["-" if v is None else format(v, FORMS[m]) for v, m in zip(values, metrics, strict=True)]
         rows.append(_row(results, key, cells))
     return {"region": region, "metrics": metrics, "rows": rows}
 
@@ -179,9 +187,8 @@ def _data_url(file: Path) -> str:
 
 
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
-    """Title, plots, sentences and table of a sweep."""
     rows, count = sweep["rows"], sweep.get("views", 1)
-    columns = sweep_columns(rows)
+    columns = table(rows, FORMS)
     fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
     note = (
         f"Frames of {count} views that nothing was fitted to: times are medians of all their frames, quality "
@@ -198,14 +205,6 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
         "rows": list(zip(*columns.values(), strict=True)),
         "sentences": [sentence(row) for row in sweep["break_even"]],
     }
-
-
-def sweep_columns(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Cells of a sweep by column name, quality included if it was measured."""
-    columns = table(rows)
-    for name in rows[0].get("quality", {}):
-        columns[name] = quality_cells(rows, name, f".{_DIGITS[name.split()[1]]}f")
-    return columns
 
 
 def _markup(plots: Sequence[str | None]) -> list[Markup]:

@@ -7,8 +7,7 @@ from typing import Any
 
 from compose.base.errors import UserError, as_plain_numbers, require_seed
 from compose.eye.gaze import require_within_frame
-from hybrid.measure.image_metrics import SSIM_MARGIN
-from hybrid.measure.regions import plain_regions
+from hybrid.measure.image_metrics import SSIM_MARGIN, plain_regions
 from hybrid.render.frame_settings import EVALUATION, MOST_SPP, FrameSettings
 
 # References have this many times the samples in the disc, where differences are smallest and most visible.

@@ -39,25 +39,20 @@ _TO_HOST = ("numpy", "to_numpy", "__array__")
 class HostBytes:
     """Counts the bytes that pass through the host while the context is open, and those of the largest array.
 
-    Counted are, whoever causes them:
-
-    - the sizes of all arrays that NumPy allocates on this thread: results and copies, temporary ones
-      included, and what is computed only to be uploaded. It is a sum, not a peak: memory counts each time
-      that it is allocated;
-    - the sizes of arrays of a remote device that become NumPy arrays (`numpy`, `to_numpy`, `__array__`). They
-      are copied by the driver, not by NumPy.
+    These are the sizes of all arrays that NumPy allocates on this thread, temporary ones included, each time
+    that they are, and of arrays of the remote backend, out of the host's reach, that become NumPy arrays.
 
     Not counted are views, such as the NumPy arrays of Dr.Jit's on the CPU; single numbers (`array[0]`);
     uploads of memory that was allocated before, or by torch; and memory of torch, Dr.Jit, Mitsuba and OIDN on
-    the CPU. Arrays of the remote backend lie out of the host's reach.
+    the CPU.
     """
 
-    def __init__(self, remote: Any = dr.JitBackend.CUDA):
+    def __init__(self, remote: dr.JitBackend = dr.JitBackend.CUDA):
         self.count = self.largest = 0
         self._remote = remote
         self._methods = {name: getattr(dr.ArrayBase, name) for name in _TO_HOST}
         self._allocated = 0
-        self._before: Any = None
+        self._before: object = None
 
     def __enter__(self) -> HostBytes:
         allocator = _allocator()
@@ -76,7 +71,7 @@ class HostBytes:
         self.largest = max(self.largest, allocator.largest)
 
     def _counted(self, method: Callable[..., NDArray[Any]]) -> Callable[..., NDArray[Any]]:
-        def counting(array: Any, *args: Any, **options: Any) -> NDArray[Any]:
+        def counting(array: dr.ArrayBase, *args: object, **options: object) -> NDArray[Any]:
             copy = method(array, *args, **options)
             if dr.backend_v(array) == self._remote:
                 self.count += copy.nbytes
@@ -144,7 +139,7 @@ class _Allocator:
         python.Py_IncRef(ctypes.py_object(counting))
         self.handler = capsule(ctypes.addressof(counting), self._NAME, None)
 
-    def _counted(self, allocate: Callable[..., Any], sizes: int, *args: int) -> Any:
+    def _counted(self, allocate: Callable[..., object], sizes: int, *args: int) -> object:
         size = math.prod(args[-sizes:])
         self.allocated += size
         self.largest = max(self.largest, size)
@@ -181,14 +176,12 @@ def bench_frame(
     """One row per size, fovea mode and renderer; all take turns, the gaze moving and the camera still.
 
     The settings are those of the frames, apart from gaze, mode and size. Warm-up frames come before the
-    `repeats` timed ones, of which each row has a few more afterwards that are profiled. Each frame has the
-    next seed.
+    `repeats` timed ones, profiled ones after them. Each frame has the next seed.
 
-    Rows have mode; live, whether by the renderer of the window or that of single frames; width, height;
-    wall_ms, percentiles of the milliseconds until a frame is complete; launches, median number of operations
-    in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit); kernels_ms, median
-    of the sum of their times; host_bytes, median, as `HostBytes` counts; passes, percentiles of each pass in
-    milliseconds; and backend, llvm or cuda.
+    Rows have mode; live, whether by the renderer of the window; width, height; wall_ms, percentiles of the
+    milliseconds until a frame is complete; passes, those of each pass; backend, llvm or cuda; and medians:
+    launches in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit),
+    kernels_ms, the sum of their times, and host_bytes, as `HostBytes` counts.
     """
     cases = [
         _Case(kind(scene, forest), replace(settings, fovea=mode, camera=scene.camera.resized(*size)))
@@ -215,7 +208,6 @@ def bench_frame(
 
 
 def _profile(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
-    """Kernels, launches and bytes of a frame."""
     dr.sync_thread()
     dr.kernel_history_clear()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory), HostBytes() as host:

@@ -88,8 +88,7 @@ def _rows(
     advance: Callable[[int], None],
 ) -> list[dict[str, Any]]:
     """Error and time of each integrator at one sample count, in turns."""
-    errors: dict[Integrator, list[float]] = {integrator: [] for integrator in tracers}
-    times: dict[Integrator, list[float]] = {integrator: [] for integrator in tracers}
+    errors, times = ({one: list[float]() for one in tracers} for _ in range(2))
     for number in range(_WARM_UP + repeats):
         for integrator, tracer in tracers.items():
             start = time.perf_counter()
@@ -127,7 +126,6 @@ def relative_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> d
 
 
 def _block_sums(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over blocks of BLOCK x BLOCK pixels."""
     sums = image.sum(axis=2)
     for axis in (0, 1):
         sums = np.add.reduceat(sums, np.arange(0, image.shape[axis], BLOCK), axis=axis)
@@ -175,24 +173,26 @@ def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
             times[asks].append(time.perf_counter() - start)
     # The first of each kind compiles.
     seconds = {asks: float(np.median(measured[1:])) for asks, measured in times.items()}
-    count = max(int(dr.count(valid)[0]), 1) * _LOOK_UPS
+    count = max(int(np.count_nonzero(valid)), 1) * _LOOK_UPS
     return 1e9 * max(seconds[True] - seconds[False], 0.0) / count
 
 
 @dr.syntax
-def _repeated(asks: bool, state: Any, known: Any, position: Any, normal: Any, valid: Any) -> Any:
+def _repeated(
+    asks: bool,
+    state: mi.UInt32,
+    known: tuple[Any, ...],
+    position: mi.Point3f,
+    normal: mi.Normal3f,
+    valid: mi.Bool,
+) -> mi.Color3f:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(state, dr.width(position))
     total, number = dr.zeros(mi.Color3f, dr.width(position)), mi.UInt32(0)
     while dr.hint(number < _LOOK_UPS, exclude=[asks, known, position, normal, valid]):
         jitter = sampler.next_2d(valid)
-        total += jitter.x + jitter.y + _answer(asks, known, position, normal, jitter, valid)
+        asked = position, normal, mi.Float(dr.inf), mi.UInt32(_SEGMENTS), jitter, valid
+        total += jitter.x + jitter.y + (look_up(known, *asked)[1] if asks else 0)
         number += 1
     dr.eval(total)
     return total
-
-
-def _answer(asks: bool, known: Any, position: Any, normal: Any, jitter: Any, valid: Any) -> Any:
-    if not asks:
-        return mi.Color3f(0)
-    return look_up(known, position, normal, mi.Float(dr.inf), mi.UInt32(_SEGMENTS), jitter, valid)[1]

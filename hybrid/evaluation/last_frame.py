@@ -67,14 +67,9 @@ class LastFrameRenderer:
         if forest.motion is not None:
             with torch.no_grad():
                 shown = forest.motion.shown(shown, nodes.semantic, settings.time)
-        boxes = _boxes(shown, forest.place.camera(camera))
-        ends = np.cumsum(forest.counts)
-        return np.concatenate(
-            [
-                _touches(boxes[end - count : end], _cells(detail, layer))
-                for layer, (end, count) in enumerate(zip(ends, forest.counts, strict=True), start=1)
-            ]
-        )
+        boxes = np.split(_boxes(shown, forest.place.camera(camera)), np.cumsum(forest.counts)[:-1])
+        of_layers = enumerate(boxes, start=1)
+        return np.concatenate([_touches(own, _cells(detail, layer)) for layer, own in of_layers])
 
 
 def _cells(detail: DetailMap, layer: int) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import json_text, read_json, write_whole
+from compose.base.files import json_text, read_json, write_text
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import measured_identity, require_same, short_hash
 from hybrid.measure.perceptual_metrics import INSTALL
@@ -22,11 +22,9 @@ _VARIED = ("fovea", "spp", "fov_a", "fov_b", "layers", "rate", "scale")
 
 
 def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float, float]]) -> list[T]:
-    """The Pareto-optimal items, ordered from the fastest to the best.
+    """The Pareto-optimal items by time (less is better) and quality (more is), from the fastest to the best.
 
-    An item is left out if another one is at least as fast and at least as good; of equal items the first one
-    stays. An item whose time (less is better) or quality (more is better) is NaN compares with none and is
-    left out as well.
+    Of equal items the first one stays; those of which either is NaN are left out.
     """
     found = [(*cost_and_quality(item), item) for item in items]
     known = [row for row in found if not (math.isnan(row[0]) or math.isnan(row[1]))]
@@ -93,9 +91,12 @@ class MeasuredStore:
 
     def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
         """Stores settings whose quality was measured in a metric; UserError if they cannot be written."""
-        rows = [_row(one) for one in measured]
-        text = json_text({"identity": self._identity, "metric": metric, "rows": rows})
-        write_whole(self.file, lambda part: part.write_text(text))
+        rows = []
+        for one in measured:
+            found = {"milliseconds": one.milliseconds, "quality": one.quality, "spread": one.spread}
+            settings = one.settings.as_json()
+            rows.append({**{name: settings[name] for name in _VARIED}, **found})
+        write_text(self.file, json_text({"identity": self._identity, "metric": metric, "rows": rows}))
 
     def load(self) -> tuple[str, list[MeasuredSettings]] | None:
         """The stored metric and settings; None if nothing was stored, UserError if the file is damaged."""
@@ -118,12 +119,6 @@ class MeasuredStore:
         spread = None if between is None else (float(between[0]), float(between[1]))
         milliseconds, quality = float(row["milliseconds"]), float(row["quality"])
         return MeasuredSettings(replace(self._base, **varied), milliseconds, quality, spread)
-
-
-def _row(one: MeasuredSettings) -> dict[str, Any]:
-    settings = one.settings.as_json()
-    varied = {name: settings[name] for name in _VARIED}
-    return {**varied, "milliseconds": one.milliseconds, "quality": one.quality, "spread": one.spread}
 
 
 def chosen(

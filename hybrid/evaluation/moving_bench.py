@@ -15,20 +15,17 @@ from scipy.ndimage import binary_dilation
 from compose.base.errors import UserError
 from compose.base.traced_samples import SPECULAR
 from compose.camera.camera import Camera, View
-from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import enlarged
 from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.last_frame import LastFrameRenderer
-from hybrid.evaluation.methods import HybridMethod, Method
+from hybrid.evaluation.methods import HybridMethod, enlarged
 from hybrid.measure.frame_times import percentiles, ratio_of_medians
-from hybrid.measure.image_metrics import psnr_of_error, registration_px
+from hybrid.measure.image_metrics import ImageRegion, psnr_of_error, regions, registration_px
 from hybrid.measure.perceptual_metrics import jod_of_video
 from hybrid.measure.reference import REFERENCE_SEED, reference
-from hybrid.measure.regions import ImageRegion, regions
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
@@ -80,12 +77,11 @@ def bench_moving(
     UserError if nothing moves in the scene, or if a forest belongs to another one.
 
     Rows have `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame (`p50`,
-    `p95`) and `ratio`, the hybrid's median over the method's. Those of the whole frame and the fovea have
-    `jod`, the mean of the clips as videos, None if FovVideoVDP is not installed; those of what moves have
-    `registration_px`, the median shift of textured windows at least a quarter of which moves, None if there
-    are none. The times of hybrid and path-traced frames include the scene's step of time, those of splats the
-    forest's; with two eyes, both have their image. Path-traced frames are denoised, and of so many pixels
-    that they take as long as the hybrid's; they are left out if the smallest takes longer.
+    `p95`) and `ratio`, the hybrid's median over the method's; those of the whole frame and the fovea `jod`,
+    the mean of the clips as videos; those of what moves `registration_px`, the median shift of textured
+    windows at least a quarter of which moves. Both are None if unknown. Times include the scene's step of
+    time, or the forest's. Path-traced frames are denoised, and of so many pixels that they take as long as
+    the hybrid's; they are left out if the smallest takes longer.
     """
     moving = require_moving(scene)
     camera, _ = settings.resolved(scene.camera)
@@ -160,7 +156,11 @@ class _Found:
         for name, region in found.items():
             self._errors.setdefault(name, []).append(squares[region.mask])
         for name in _AS_VIDEO:
-            score = _video_jod(clip, images, found[name], settings.display)
+            region = found[name]
+            pairs = zip(images, clip.truths, strict=True)
+            seen = [region.alone(image, truth)[region.box] for image, truth in pairs]
+            truths, gaze = [truth[region.box] for truth in clip.truths], region.gaze_within(clip.gaze)
+            score = jod_of_video(seen, truths, _FRAMES_PER_SECOND, settings.display, gaze)
             self._jods.setdefault(name, []).append(score)
         shift = registration_px(images[-1], clip.truths[-1], clip.masks[MOVING])
         self._shifts += [] if shift is None else [shift]
@@ -193,23 +193,26 @@ class _Methods:
             self._splats |= _splats(name, forest)
             if forest.motion is not None and len(forest.counts) > 1:
                 self._selecting[f"{name}, {_LAST_FRAME}"] = LastFrameRenderer(forest)
-        assert settings.camera is not None
-        depth = renderer.depth(settings.camera)
+        camera, _ = settings.resolved(renderer.scene.camera)
+        depth = renderer.depth(camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
-        self._right_eye = settings.camera.moved_right(_BETWEEN_EYES * seen)
-        # Path-traced frames that take as long as the hybrid's; None if none do.
+        self._right_eye = camera.moved_right(_BETWEEN_EYES * seen)
+        self._methods: dict[str, _Frame] = {HYBRID: self._frame, ALONE: self._fresh_frame}
+        self._methods |= {**self._splats, TWO_EYES: self._both_eyes}
+        # Path-traced frames that take as long as the hybrid's, if any do.
         family = partial(enlarged, renderer.tracer_of(Integrator.CACHED), 1, denoised=True)
-        ours, views = HybridMethod(renderer, settings), [View(settings.camera)]
-        rays = at_equal_time(family, ours, views, settings.gaze, _RAYS)
-        self._traced: Method | None = None if rays is None else family(rays)
+        ours = HybridMethod(renderer, settings)
+        rays = at_equal_time(family, ours, [View(camera)], settings.gaze, _RAYS)
+        if rays is not None:
+            render = family(rays).render
+            self._methods[TRACED] = lambda shown, seed: (
+                render(View(camera, shown.time), shown.gaze, seed).image
+            )
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
         """The clip by each method in turn."""
         self._renderer.forget()
-        methods = {HYBRID: self._frame, ALONE: self._fresh_frame, **self._splats, TWO_EYES: self._both_eyes}
-        if self._traced is not None:
-            methods[TRACED] = partial(self._traced_frame, self._traced)
-        found = {name: self._timed(clip, method) for name, method in methods.items()}
+        found = {name: self._timed(clip, method) for name, method in self._methods.items()}
         return found | {name: self._selected(clip, method) for name, method in self._selecting.items()}
 
     def _timed(
@@ -247,10 +250,6 @@ class _Methods:
         left = self._splats[SPLATS](settings, seed)
         self._splats[SPLATS](replace(settings, camera=self._right_eye), seed)
         return left
-
-    def _traced_frame(self, traced: Method, settings: FrameSettings, seed: int) -> Image:
-        assert settings.camera is not None
-        return traced.render(View(settings.camera, settings.time), settings.gaze, seed).image
 
 
 def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
@@ -313,10 +312,3 @@ def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
     nearest = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
     height, width = moves.shape
     return Gaze((columns[nearest] + 0.5) / width, (rows[nearest] + 0.5) / height)
-
-
-def _video_jod(clip: _Clip, images: Sequence[Image], region: ImageRegion, display: Display) -> float | None:
-    """JOD of a clip as a video, of the box around a region, outside which nothing counts."""
-    seen = [region.alone(image, truth)[region.box] for image, truth in zip(images, clip.truths, strict=True)]
-    truths = [truth[region.box] for truth in clip.truths]
-    return jod_of_video(seen, truths, _FRAMES_PER_SECOND, display, region.gaze_within(clip.gaze))

@@ -6,10 +6,8 @@ import io
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybrid.evaluation.measured_settings import pareto_front
-from hybrid.evaluation.result_keys import FIXED, OURS, Key
-from hybrid.evaluation.results import METRIC_NAMES, Results
-from hybrid.evaluation.sweep_catalogue import varied
-from hybrid.evaluation.sweep_tables import short
+from hybrid.evaluation.results import FIXED, METRIC_NAMES, OURS, Key, Results
+from hybrid.evaluation.sweep_catalogue import short, varied
 from hybrid.measure.frame_quality import METRICS
 
 if TYPE_CHECKING:
@@ -138,15 +136,16 @@ def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> 
 
     Foveated Path Culling's (FPC's) ratios are hollow points beside ours, or where it breaks even.
     """
+    lines: dict[str, list[Row]] = {}
+    for row in rows:
+        before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
+        lines.setdefault(", ".join(f"{name} {short(value)}" for name, value in before), []).append(row)
     axes = new_axes()
-    for name, line in _lines(over, rows).items():
+    for name, line in lines.items():
         positions, ratios = [_position(over, row) for row in line], [row["ratio"] for row in line]
         (drawn,) = axes.plot(positions, ratios, "o-", ms=4, label=name or "this project")
-        known = [
-            (position, row["paper"]["ratio"])
-            for position, row in zip(positions, line, strict=True)
-            if "ratio" in row.get("paper", {})
-        ]
+        papers = [row.get("paper", {}).get("ratio") for row in line]
+        known = [(x, ratio) for x, ratio in zip(positions, papers, strict=True) if ratio is not None]
         if known:
             axes.plot(*zip(*known, strict=True), "o--", mfc="none", color=drawn.get_color(), label="FPC")
     colours = [line.get_color() for line in axes.lines]
@@ -159,15 +158,6 @@ def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> 
     axes.set_ylabel("times faster than full path tracing")
     axes.legend(frameon=False, fontsize=7)
     return svg_of(axes)
-
-
-def _lines(over: str, rows: list[Row]) -> dict[str, list[Row]]:
-    """Rows of each line by its name."""
-    lines: dict[str, list[Row]] = {}
-    for row in rows:
-        before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
-        lines.setdefault(", ".join(f"{name} {short(value)}" for name, value in before), []).append(row)
-    return lines
 
 
 def _quality_plot(rows: list[Row], metric: str) -> str:
@@ -183,8 +173,7 @@ def _quality_plot(rows: list[Row], metric: str) -> str:
     return svg_of(axes)
 
 
-def _position(over: str, row: Row) -> Any:
-    """Where a row lies on the horizontal axis."""
+def _position(over: str, row: Row) -> float | str:
     if over in _OVER_SIZES:
         return f"{row['width']}x{row['height']}"
     value = list(varied(row).values())[-1]

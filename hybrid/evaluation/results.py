@@ -1,14 +1,58 @@
-"""The results of an evaluation, as evaluation.json has them: values looked up, and verdicts in words."""
+"""The results of an evaluation, as evaluation.json has them: names, values, and verdicts in words."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hybrid.evaluation.equal_cost import TOLERANCE
-from hybrid.evaluation.result_keys import EQUAL_TIME, FIXED, OURS_KEY, Key, half_name
 from hybrid.measure.frame_quality import METRICS
+
+# The method whose rays and time the baselines get.
+OURS = "hybrid, fused"
+# The name under which the quality of a reference itself is reported: half of its samples against the other.
+HALVES = "reference, half against half"
+# Costs count as equal within this share.
+TOLERANCE = 0.03
+# In what a method was made equal to OURS; FIXED for in nothing.
+EQUAL_RAYS, EQUAL_TIME, FIXED = "equal-rays", "equal-time", "fixed"
+
+
+class Key(NamedTuple):
+    """What identifies a method's results: its name and its budget, EQUAL_RAYS, EQUAL_TIME or FIXED."""
+
+    method: str
+    budget: str
+
+    @staticmethod
+    def of(row: dict[str, Any]) -> Key:
+        """The key of a row of results."""
+        return Key(row["method"], row["budget"])
+
+    @property
+    def label(self) -> str:
+        """The method as it is named in lists."""
+        return self.method if self.budget == FIXED else f"{self.method} ({self.budget})"
+
+
+OURS_KEY, HALVES_KEY = Key(OURS, FIXED), Key(HALVES, FIXED)
+
+
+def half_name(metric: str, number: int) -> str:
+    """Name of a metric against the first or the second half of a reference's samples."""
+    return f"{metric}, half {number}"
+
+
+def image_name(view: int, key: Key | None) -> str:
+    """File name of the frame of a method and budget in a view; of the reference if None."""
+    name = "reference" if key is None else "-".join(key)
+    return f"{view}-{name}.png".replace(",", "").replace(" ", "-")
+
+
+def flip_name(view: int, key: Key) -> str:
+    """File name of a frame's FLIP map."""
+    return image_name(view, key).replace(".png", "-flip.png")
+
 
 # The metric that whole frames are compared by.
 WHOLE_METRIC = "ssim"
@@ -168,7 +212,6 @@ def _compared(results: Results, region: str, metric: str) -> tuple[str, dict[boo
 
 
 def _counted(outcomes: list[bool | None]) -> str:
-    """In how many views something holds, and in how many that cannot be told."""
     ties = outcomes.count(None)
     open_ = f", too close to tell in {ties}" if ties else ""
     return f"in {outcomes.count(True)} of {len(outcomes)} views{open_}"

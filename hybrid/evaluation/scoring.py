@@ -19,10 +19,10 @@ import numpy as np
 import torch
 
 from compose.image.colour import Image
-from hybrid.evaluation.result_keys import half_name
+from hybrid.evaluation.results import half_name
 from hybrid.measure.frame_quality import Viewer, metric_rows, tie_metrics
+from hybrid.measure.image_metrics import ImageRegion
 from hybrid.measure.perceptual_metrics import flip_map
-from hybrid.measure.regions import ImageRegion
 from hybrid.render.image_files import write_srgb
 
 # Rows of region, metric and value.
@@ -55,9 +55,7 @@ def score(task: ScoringTask) -> Rows:
 
             # The colours of FLIP's authors.
             write_srgb(task.flip_file, np.asarray(colormaps["magma"](error, bytes=True)[..., :3]))
-    rows: Rows = metric_rows(
-        task.image, task.reference, task.regions, task.viewer, task.method, whole_flip=error
-    )
+    rows: Rows = metric_rows(task.image, task.reference, task.regions, task.viewer, task.method, error)
     for number, half in enumerate(task.halves, 1):
         for row in tie_metrics(task.image, half, task.regions, task.viewer):
             rows.append({**row, "metric": half_name(str(row["metric"]), number)})

@@ -12,26 +12,24 @@ import numpy as np
 
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.identity import machine, measured_identity, short_hash
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal, machine, measured_identity, short_hash
 from hybrid.base.progress import Steps
-from hybrid.evaluation.baselines import FullTrace
-from hybrid.evaluation.comparison import covered, reach_for
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
-from hybrid.evaluation.methods import HybridMethod, Method
-from hybrid.evaluation.sweep_catalogue import Setting, Sweep, SweepEffort, sweep_named
-from hybrid.evaluation.sweep_tables import break_even
+from hybrid.evaluation.methods import FullTrace, HybridMethod, Method
+from hybrid.evaluation.sweep_catalogue import Setting, Sweep, SweepEffort, break_even, sweep_named
 from hybrid.measure.frame_quality import Viewer, metric_rows, missing
 from hybrid.measure.frame_times import (
+    covered,
     interleaved_passes,
     jittered_view,
     medians_by_view,
     percentiles,
     ratio_interval,
     ratio_of_medians,
+    reach_for,
 )
+from hybrid.measure.image_metrics import ImageRegion, plain_regions
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
-from hybrid.measure.regions import ImageRegion, plain_regions
 from hybrid.render.frame_renderer import Renderer
 from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.scene import Scene
@@ -58,9 +56,9 @@ def sweep(
 ) -> dict[str, Any]:
     """Times hybrid frames and full path tracing in turns, over one quantity, from a base setting.
 
-    Frames are timed, and their quality is measured, in three views that nothing was fitted to; the scene's
-    own view is one of those that splats are trained on. A row of the sweep over views is one such view. The
-    result is written before the intermediate results are deleted. Progress counts in thousandths of a row.
+    Frames are timed, and their quality is measured, in three views that nothing was fitted to; a row of the
+    sweep over views is one such view. The result is written before the intermediate results are deleted.
+    Progress counts in thousandths of a row.
 
     Returns scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the
     sweep over the radius), the settings that all rows have in common, and machine. UserError if there is no
@@ -78,13 +76,10 @@ def sweep(
     if over == "trade":
         # Target times and target qualities choose from these settings.
         metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
-        name = f"whole {metric}"
-        measured = [
-            MeasuredSettings(
-                setting.frame, row["ms"]["p50"], row["quality"][name], tuple(row["quality_range"][name])
-            )
-            for setting, row in zip(settings, rows, strict=True)
-        ]
+        measured = []
+        for setting, row in zip(settings, rows, strict=True):
+            quality, between = (row[of][f"whole {metric}"] for of in ("quality", "quality_range"))
+            measured.append(MeasuredSettings(setting.frame, row["ms"]["p50"], quality, tuple(between)))
         camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
         MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
     content = {
@@ -117,13 +112,10 @@ def swept(
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
     denoised where the fovea is. Their gazes follow the same path, on which the largest of their discs stays
     in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Frames go through the
-    views of a row in turn, and each has a camera of its own, so that frames reuse nothing. `ms_range`,
-    `ratio_range` and `quality_range` are the least and the greatest value over the views, of medians where
-    times are concerned. `ratio_1spp` is the ratio to the full frame at one sample per pixel, if a setting
-    asks for it. Quality is measured with the gaze at the centre.
-
-    Rows that the journal holds are not measured again. UserError, before anything is measured, if a region
-    whose quality is measured is empty.
+    views of a row in turn, each with a camera of its own, so that frames reuse nothing. `ms_range`,
+    `ratio_range` and `quality_range` are those of the views' medians and values. `ratio_1spp` is the ratio to
+    the full frame at one sample per pixel. Quality is measured with the gaze at the centre. UserError, before
+    anything is measured, if a region whose quality is measured is empty.
     """
     if with_quality:
         for setting in settings:
@@ -144,15 +136,13 @@ def swept(
 def _group(
     renderer: Renderer, same: list[Setting], with_quality: bool, effort: SweepEffort, progress: Steps
 ) -> list[dict[str, Any]]:
-    """Rows of the same views, which take turns."""
-    camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
+    camera, views = same[0].camera, same[0].seen
     ours = [HybridMethod(renderer, setting.frame) for setting in same]
     # By samples per pixel and whether they are denoised.
-    wanted = [(setting, setting.frame.spp) for setting in same]
-    wanted += [(setting, 1) for setting in same if setting.over_one_spp]
     full = {
         (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
-        for one, spp in wanted
+        for one in same
+        for spp in (one.frame.spp, *((1,) if one.over_one_spp else ()))
     }
     methods: list[Method] = [*ours, *full.values()]
 
@@ -165,11 +155,10 @@ def _group(
     timed = [partial(passes, place) for place in range(len(methods))]
     times = interleaved_passes(timed, effort.repeats, effort.warm_up, progress, reach)
     of_full = dict(zip(full, times[len(ours) :], strict=True))
-    judged = views if with_quality else ()
     truths = []
-    for number, view in enumerate(judged):
+    for number, view in enumerate(views if with_quality else ()):
         renderer.scene.show(view.time)
-        truths.append(reference(tracer, view.camera, effort.reference_spp, REFERENCE_SEED + number))
+        truths.append(reference(renderer.tracer, view.camera, effort.reference_spp, REFERENCE_SEED + number))
     rows = []
     for setting, method, found in zip(same, ours, times, strict=False):
         row = _row(setting, found, of_full, effort)

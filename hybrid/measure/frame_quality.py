@@ -14,10 +14,18 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze, eccentricity
 from compose.image.colour import Image
 from hybrid.base.identity import installed_version
-from hybrid.measure.image_metrics import SSIM_WINDOW, checked_pair, has_valid, psnr, ssim_map, valid_mean
+from hybrid.measure.image_metrics import (
+    REGIONS,
+    SSIM_WINDOW,
+    ImageRegion,
+    checked_pair,
+    has_valid,
+    psnr,
+    ssim_map,
+    valid_mean,
+)
 from hybrid.measure.perceptual_metrics import INSTALL as FOVVIDEOVDP
 from hybrid.measure.perceptual_metrics import flip_map, flip_reach, hdr_flip_map, jod, lpips
-from hybrid.measure.regions import REGIONS, ImageRegion
 
 Map = NDArray[np.float32]
 # Whether higher values are better, in the order of all tables.
@@ -53,12 +61,11 @@ def metric_rows(
     """Rows of region, metric and value, for all installed metrics that have a value there.
 
     Errors outside a region do not count: there the image is replaced by the reference, and only the region's
-    pixels of SSIM and FLIP maps are averaged. LPIPS and FovVideoVDP yield one number per image: of the foveal
-    region both see a crop; of the others FovVideoVDP sees the whole frame with the rest replaced, and LPIPS
-    only the whole frame. HDR-FLIP, which takes longer than all others together, is computed for the foveal
-    region only. `fssim`, SSIM weighted by the relative acuity at each pixel (Geisler and Perry 1998), is
-    computed for the whole frame only. SSIM is left out of a region that lies within 5 pixels of the border,
-    LPIPS and FovVideoVDP of those too small for them.
+    pixels of SSIM and FLIP maps are averaged. LPIPS and FovVideoVDP see a crop of the foveal region; of the
+    others FovVideoVDP sees the whole frame with the rest replaced, and LPIPS only the whole frame. HDR-FLIP,
+    which takes longest, is of the foveal region only; `fssim`, SSIM weighted by the relative acuity at each
+    pixel (Geisler and Perry 1998), of the whole frame only. SSIM is left out within 5 pixels of the border,
+    LPIPS and FovVideoVDP in regions too small for them.
 
     Images are (H, W, 3), linear radiance; UserError, with the image's name, if they cannot be compared. The
     FLIP map (H, W) may be known already.

@@ -8,12 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from compose.camera.camera import View
+from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
+from compose.fovea.foveation import Foveation
 from hybrid.base.progress import Steps
 
 # How far the gaze moves from the centre, in fractions of the frame's width and height.
 REACH = (0.15, 0.15)
+# And at least, in fractions of the frame's side.
+_LEAST_REACH = 0.02
 # Degrees from one frame's camera to the next one's, and the number of frames after which they repeat: at 50
 # pixels per degree they differ by a twentieth of a pixel at most.
 _NUDGE, _NUDGES = 1e-6, 1000
@@ -60,6 +63,28 @@ def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
     return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
 
 
+def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
+    """How far the gaze may move from the centre so that a disc covers about as much as it does there.
+
+    Along an axis on which the disc, of a radius in percent of the height, fits into the frame, that is until
+    it touches the edge; along others so little that less than half a percent of the covered pixels is lost.
+    The result is for `gaze_path`, in fractions of the frame's width and height.
+    """
+    pixels = radius / 100 * camera.height
+    across, down = (
+        max(_LEAST_REACH, min(most, 0.5 - pixels / side))
+        for most, side in zip(REACH, (camera.width, camera.height), strict=True)
+    )
+    return across, down
+
+
+def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float]) -> float:
+    """Mean fraction of the frame that a disc of a radius in percent of the height covers on a gaze path."""
+    width, height = camera.width, camera.height
+    along = (Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach))
+    return float(np.mean([region.count for region in along]) / (width * height))
+
+
 def path_around(gaze: Gaze, count: int) -> list[Gaze]:
     """`gaze_path`, moved to a gaze and kept within the frame."""
     moved = ((at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(count))
@@ -69,9 +94,8 @@ def path_around(gaze: Gaze, count: int) -> list[Gaze]:
 def jittered_view(view: View, number: int) -> View:
     """The view, turned about the camera's vertical axis by too little to be visible.
 
-    Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
-    own pays for everything, as every frame does while the viewer moves. A thousand consecutive numbers of
-    frames give different keys, all different from the camera's own.
+    A frame that is timed with a camera of its own pays for everything, as every frame does while the viewer
+    moves. A thousand consecutive numbers of frames give different keys, and none is the camera's own.
     """
     angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
     turn = np.eye(4)

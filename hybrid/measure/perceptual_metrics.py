@@ -20,11 +20,12 @@ import os
 import pickle
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -36,6 +37,9 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.measure.image_metrics import checked_pair
+
+if TYPE_CHECKING:
+    import pyfvvdp
 
 # Reach of FLIP's filters in degrees, rounded up: the widest one ends at three standard deviations.
 _REACH = 24 / 67
@@ -127,12 +131,11 @@ def jod_of_video(
 
 
 def _is_flat(shown: Image) -> bool:
-    """Whether all pixels of frames (F, H, W, 3) are equal."""
     return bool((shown == shown[0, 0, 0]).all())
 
 
 @lru_cache(maxsize=8)
-def _metric(width: int, height: int, display: Display) -> Any:
+def _metric(width: int, height: int, display: Display) -> pyfvvdp.fvvdp:
     """The metric for images of one size; constructing it takes as long as using it."""
     pyfvvdp = _pyfvvdp()
     across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
@@ -147,13 +150,12 @@ def _metric(width: int, height: int, display: Display) -> Any:
     )
 
 
-def _pyfvvdp() -> Any:
+def _pyfvvdp() -> ModuleType:
     """The package, also in a process that has imported pip.
 
     Wheels that complete their installation when Python first starts (LLVM's does) import pip. Before
-    Python 3.12, setuptools then stops supplying `distutils` and fails on its own check; setuptools is
-    imported by torch's benchmarks, and those by pyfvvdp. Asking for the `distutils` of the standard
-    library skips the check.
+    Python 3.12, setuptools, which torch and so pyfvvdp imports, then fails on its own check of `distutils`.
+    Asking for that of the standard library skips the check.
     """
     if "pip" not in sys.modules or sys.version_info >= (3, 12) or "SETUPTOOLS_USE_DISTUTILS" in os.environ:
         import pyfvvdp
@@ -180,7 +182,7 @@ class ArrayUnpickler(pickle.Unpickler):
         ("numpy", "dtype"),
     )
 
-    def find_class(self, module: str, name: str) -> Any:
+    def find_class(self, module: str, name: str) -> type | Callable[..., object]:
         if (module, name) not in self._ALLOWED:
             raise pickle.UnpicklingError(f"{module}.{name} in a pickle of arrays is not an array")
         return super().find_class(module, name)
@@ -229,15 +231,12 @@ def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
     file = next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
     if file is None:
         return None
-    content: Any = ArrayUnpickler(io.BytesIO(file.read_bytes())).load()
+    content = ArrayUnpickler(io.BytesIO(file.read_bytes())).load()
     layers = []
     for number in range(len(_LAYERS)):
         convolution = content["AlexNet_0"][f"Conv_{number}"]
         head = content[f"NetLinLayer_{number}"]["Conv_0"]["kernel"]
-        kernel = _tensor(convolution["kernel"]).permute(3, 2, 0, 1).contiguous()
-        layers.append((kernel, _tensor(convolution["bias"]), _tensor(head).view(-1, 1, 1)))
+        arrays = convolution["kernel"], convolution["bias"], head
+        kernel, bias, weights = (torch.from_numpy(np.array(one, dtype=np.float32)) for one in arrays)
+        layers.append((kernel.permute(3, 2, 0, 1).contiguous(), bias, weights.view(-1, 1, 1)))
     return layers
-
-
-def _tensor(array: Any) -> Tensor:
-    return torch.from_numpy(np.array(array, dtype=np.float32))

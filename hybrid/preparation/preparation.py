@@ -15,8 +15,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
-from hybrid.base.identity import require_scene, short_hash
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal, require_scene, short_hash
 from hybrid.base.progress import Bars, no_bars
 from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES, breadth_of, planned_needs
 from hybrid.preparation.forest_errors import Judges, with_errors

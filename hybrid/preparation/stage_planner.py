@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.preparation.forest_training import LEAST_PACED
 from hybrid.preparation.stages import (
     GLIMPSE,

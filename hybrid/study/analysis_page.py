@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from compose.base.files import json_text, write_whole
+from hybrid.evaluation.evaluation_page import rendered
 from hybrid.evaluation.result_plots import OTHER_COLOUR, OURS_COLOUR, new_axes, svg_of
 from hybrid.study.analysis import p_text
 from hybrid.study.observations import write_table
@@ -39,8 +39,9 @@ def write_page(folder: Path, found: Row) -> None:
     The tables hold the quality of each condition and the comparison of each pair.
     """
     tables = tables_of(found)
-    templates = Environment(loader=PackageLoader("hybrid.study", "."), autoescape=True)
-    page = templates.get_template("analysis.html").render(
+    page = rendered(
+        "analysis.html",
+        "hybrid.study",
         title="Analysis of " + ("votes" if found["kind"] == "ratings" else "choices between two"),
         sentences=found["sentences"],
         plots=[Markup(plot) for plot in plots(found)],

@@ -114,9 +114,9 @@ def _import(names: list[str]) -> None:
     import pathtrace.dataset.capture  # noqa: F401
 
     if set(names) - {"capture", "traced"}:
-        import hybrid.api.evaluation_report
+        import hybrid.evaluation.evaluation
         import hybrid.evaluation.evaluation_page
-        import hybrid.evaluation.quickstart_job
+        import hybrid.evaluation.quickstart
         import hybrid.evaluation.sweep_run  # noqa: F401
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.evaluation.evaluation import stored_reference
 from hybrid.measure.reference import Reference
 from splat.io.forest_file import load_forest

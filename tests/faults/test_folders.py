@@ -14,7 +14,7 @@ import torch
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.render.image_files import write_exr, write_mp4, write_srgb
 from splat.io.gltf_gaussians import save_glb
 from splat.io.ply import save_ply
@@ -85,7 +85,7 @@ def test_processes_that_write_one_file_never_tear_it(count, tmp_path, got):
 _JOURNAL = """
 import sys
 from pathlib import Path
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 number, file = sys.argv[1], Path(sys.argv[2])
 journal = Journal(file, {"a": 1})
 for n in range(10):

@@ -19,7 +19,7 @@ from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 from compose.eye.display import display_named
 from compose.eye.gaze import load_gaze_trace
 from compose.image.exr import write_channels
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.render.image_files import read_exr
 from hybrid.study.design import load_design
 from hybrid.study.observations import load_choices, load_ratings

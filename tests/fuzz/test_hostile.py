@@ -16,7 +16,7 @@ import torch
 
 from compose.base.errors import UserError
 from compose.eye.gaze import load_gaze_trace
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.render.image_files import read_exr
 from hybrid.window.gaze_input import unused_file
 from pathtrace.dataset.captured_frames import read_frame

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.api import evaluation_report as module
-from hybrid.api.evaluation_report import evaluate
+from hybrid.api.workflow import evaluate
+from hybrid.evaluation import evaluation, evaluation_page
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
 from splat.io.forest_file import save_forest
 from tests.hybrid.forests import white_dot
@@ -33,9 +33,9 @@ def given(monkeypatch):
             progress("references", 1.5, 3.0)
             return FOUND
 
-    monkeypatch.setattr(module, "Evaluation", Evaluation)
+    monkeypatch.setattr(evaluation, "Evaluation", Evaluation)
     monkeypatch.setattr(
-        module, "write_report", lambda folder: notes.append((folder / "evaluation.json").read_text())
+        evaluation_page, "write_report", lambda folder: notes.append((folder / "evaluation.json").read_text())
     )
     return notes
 

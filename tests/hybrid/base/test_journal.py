@@ -7,7 +7,7 @@ import json
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 
 IDENTITY = {"scene": "a", "settings": {"size": (4, 5), "seed": 0}}
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.api import evaluation_report as api
+from hybrid.api import workflow as api
 from hybrid.cli import evaluate as module
 from hybrid.evaluation import results as verdicts
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.result_keys import HALVES_KEY
+from hybrid.evaluation.results import HALVES_KEY
 from hybrid.measure import frame_quality as installed
 from hybrid.preparation import preparation as quick
 from hybrid.render.frame_settings import FrameSettings

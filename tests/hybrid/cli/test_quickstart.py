@@ -7,8 +7,8 @@ import json
 import pytest
 
 from hybrid.cli import options
-from hybrid.cli.quickstart import quickstart as command
-from hybrid.evaluation import quickstart_job as module
+from hybrid.cli.prepare import quickstart as command
+from hybrid.evaluation import quickstart as module
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 from pathtrace.scene.scene import load_scene
 from tests.hybrid.command import run

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image as PillowImage
 
-from hybrid.evaluation.result_keys import HALVES, flip_name, image_name
-from hybrid.evaluation.results import Results
+from hybrid.evaluation.results import HALVES, Results, flip_name, image_name
 from tests.hybrid.evaluation import fakes
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.methods import TimedImage
-from hybrid.evaluation.result_keys import OURS
+from hybrid.evaluation.results import OURS
 
 CAMERA = Camera(np.eye(4), 8, 8, 8.0, 8.0, 4.0, 4.0)
 VIEW = View(CAMERA)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.evaluation.sweep_tables import break_even, sentence
+from hybrid.evaluation.sweep_catalogue import break_even, sentence
 from hybrid.measure.frame_times import ratio_interval
 from tests import small
 

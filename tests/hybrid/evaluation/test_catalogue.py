@@ -12,8 +12,14 @@ from compose.base.errors import UserError
 from compose.camera.camera import View
 from compose.eye.acuity import ACUITY_MODELS
 from compose.fovea.foveation import FoveaMode
-from hybrid.evaluation import fpc
-from hybrid.evaluation.sweep_catalogue import SWEEPS, Setting, sweep_named
+from hybrid.evaluation.sweep_catalogue import (
+    FPC_BREAK_EVEN,
+    FPC_TABLE_4,
+    FPC_TABLE_5,
+    SWEEPS,
+    Setting,
+    sweep_named,
+)
 from hybrid.measure.frame_times import jittered_view
 
 COUNTS = (5, 20, 80)
@@ -29,7 +35,7 @@ def size(setting: Setting) -> tuple[int, int]:
     return setting.camera.width, setting.camera.height
 
 
-@pytest.mark.parametrize(("name", "table"), [("resolution", fpc.TABLE_4), ("aspect", fpc.TABLE_5)])
+@pytest.mark.parametrize(("name", "table"), [("resolution", FPC_TABLE_4), ("aspect", FPC_TABLE_5)])
 def test_sizes_are_those_of_fpcs_tables(base, name, table):
     rows = rows_of(name, base)
     assert [size(row) for row in rows] == list(table)
@@ -40,7 +46,7 @@ def test_sizes_are_those_of_fpcs_tables(base, name, table):
 
 def test_radii_are_swept_at_each_size_with_the_band_in_proportion(base):
     rows = rows_of("radius", base)
-    expected = list(product(fpc.BREAK_EVEN, range(10, 100, 10)))
+    expected = list(product(FPC_BREAK_EVEN, range(10, 100, 10)))
     assert [(size(row), row.varied["radius"]) for row in rows] == expected
     for row in rows:
         assert row.frame.fov_a == row.varied["radius"]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera
-from hybrid.evaluation.comparison import covered, reach_for
-from hybrid.measure.frame_times import REACH
+from hybrid.measure.frame_times import REACH, covered, reach_for
 
 
 def camera(width: int, height: int) -> Camera:

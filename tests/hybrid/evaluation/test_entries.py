@@ -7,7 +7,7 @@ import pytest
 import hybrid.evaluation.entries as entries_module
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.evaluation.entries import (
     OTHER_SPP,
     Entry,
@@ -16,7 +16,7 @@ from hybrid.evaluation.entries import (
     splat_entries,
 )
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.result_keys import OURS, Key
+from hybrid.evaluation.results import OURS, Key
 from hybrid.render.frame_settings import FrameSettings
 from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly
 

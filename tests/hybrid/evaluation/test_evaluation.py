@@ -12,13 +12,12 @@ import hybrid.evaluation.entries
 import hybrid.evaluation.equal_cost
 import hybrid.measure.frame_quality
 from compose.base.errors import UserError
-from hybrid.evaluation import fpc
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation.evaluation import Evaluation
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.result_keys import HALVES, OURS
+from hybrid.evaluation.results import HALVES, OURS
 from hybrid.evaluation.scoring import score
-from hybrid.measure.regions import REGIONS
+from hybrid.measure.image_metrics import REGIONS
 from hybrid.render.image_files import write_png
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
@@ -177,7 +176,7 @@ def _look(browser) -> None:
 def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
     folder, _ = evaluated
     monkeypatch.setattr(catalogue, "_RADII", (20, 90))
-    monkeypatch.setattr(fpc, "BREAK_EVEN", {(48, 32): 51.0})
+    monkeypatch.setattr(catalogue, "FPC_BREAK_EVEN", {(48, 32): 51.0})
     common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
     assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "nowhere") == 2
     assert "nowhere: holds no evaluation" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from dataclasses import asdict
 import pytest
 
 from compose.eye.gaze import Gaze
-from hybrid.evaluation.baselines import Tuning, WarpTuning, enlarged, families, warped
+from hybrid.evaluation.methods import Tuning, WarpTuning, enlarged, families, warped
 from tests.hybrid.evaluation.fakes import CAMERA
 
 GAZE = Gaze(0.4, 0.55)

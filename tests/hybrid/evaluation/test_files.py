@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from itertools import product
 
-from hybrid.evaluation.result_keys import EQUAL_RAYS, EQUAL_TIME, FIXED, OURS_KEY, Key, flip_name, image_name
+from hybrid.evaluation.results import EQUAL_RAYS, EQUAL_TIME, FIXED, OURS_KEY, Key, flip_name, image_name
 
 
 def test_names_stay_as_earlier_reports_have_them():

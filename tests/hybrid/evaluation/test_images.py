@@ -9,8 +9,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from hybrid.evaluation.evaluation_page import embedded_flips, embedded_images
-from hybrid.evaluation.result_keys import OURS
-from hybrid.evaluation.results import Results
+from hybrid.evaluation.results import OURS, Results
 from tests.hybrid.evaluation import content
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hybrid.evaluation.result_keys import (
+from hybrid.evaluation.results import (
     EQUAL_RAYS,
     EQUAL_TIME,
     FIXED,

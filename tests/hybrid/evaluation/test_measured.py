@@ -141,10 +141,10 @@ def test_a_folder_that_cannot_be_written_is_named(store):
 def test_an_interrupted_save_leaves_what_was_stored_before(store, monkeypatch):
     store.save("jod", MEASURED)
 
-    def interrupted(path, write):
+    def interrupted(path, text):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "write_whole", interrupted)
+    monkeypatch.setattr(module, "write_text", interrupted)
     with pytest.raises(KeyboardInterrupt):
         store.save("jod", MEASURED[:1])
     assert store.load() == ("jod", MEASURED)

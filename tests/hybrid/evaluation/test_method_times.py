@@ -8,8 +8,7 @@ import pytest
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from hybrid.base.compute_device import device_arrays
-from hybrid.evaluation.baselines import Enlarged, FullTrace, Rmfr
-from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone
+from hybrid.evaluation.methods import Enlarged, FullTrace, HybridMethod, Method, Rmfr, SplatsAlone
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.evaluation.quickstart_page import write_page
+from hybrid.evaluation.quickstart import write_page
 from hybrid.render.image_files import write_srgb
 from tests import small
 

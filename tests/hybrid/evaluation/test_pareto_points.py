@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from hybrid.evaluation.result_keys import OURS, Key
 from hybrid.evaluation.result_plots import Point, pareto_optimal, points_of
-from hybrid.evaluation.results import Results
+from hybrid.evaluation.results import OURS, Key, Results
 from tests.hybrid.evaluation import fakes
 
 

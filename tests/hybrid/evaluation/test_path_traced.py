@@ -7,8 +7,8 @@ import pytest
 
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
-from hybrid.evaluation import baselines as path_traced
-from hybrid.evaluation.baselines import Enlarged, FullTrace, Rmfr
+from hybrid.evaluation import methods as path_traced
+from hybrid.evaluation.methods import Enlarged, FullTrace, Rmfr
 from hybrid.measure.image_metrics import psnr, registration_px
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.tracer import Tracer

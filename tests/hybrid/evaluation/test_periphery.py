@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from compose.eye.display import Display
-from hybrid.evaluation.periphery_bench import FULL, GAZES, bench_periphery, display_camera
+from hybrid.evaluation.splat_bench import FULL, GAZES, bench_periphery, display_camera
 from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import load_scene
 from tests import small

@@ -7,11 +7,11 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.image.colour import bytes_from_radiance
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.evaluation import entries as quality
 from hybrid.evaluation.entries import Entry, evaluated_views, quality_rows
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.result_keys import HALVES
+from hybrid.evaluation.results import HALVES
 from hybrid.measure.reference import Reference
 from hybrid.render.frame_settings import FrameSettings
 from tests import small

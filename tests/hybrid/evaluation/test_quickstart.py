@@ -10,8 +10,8 @@ from PIL import Image
 
 from compose.image.colour import bytes_from_radiance
 from hybrid.base.cache_folder import newest_forest
-from hybrid.evaluation import quickstart_job as module
-from hybrid.evaluation.quickstart_job import quickstart
+from hybrid.evaluation import quickstart as module
+from hybrid.evaluation.quickstart import quickstart
 from hybrid.measure import image_metrics as registration
 from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_settings import FrameSettings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.evaluation.raster_bench import bench_raster, random_splats
+from hybrid.evaluation.splat_bench import bench_raster, random_splats
 from tests.splat.raster.splats import inverse_covariance
 
 

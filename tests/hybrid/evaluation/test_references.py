@@ -7,8 +7,8 @@ import pytest
 
 from hybrid.evaluation.evaluation import reference_samples, stored_reference
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, EvaluationSettings
+from hybrid.measure.image_metrics import regions
 from hybrid.measure.reference import Reference
-from hybrid.measure.regions import regions
 from hybrid.render.frame_settings import FrameSettings
 from tests import small
 

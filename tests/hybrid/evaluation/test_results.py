@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.evaluation.result_keys import OURS, OURS_KEY, Key
-from hybrid.evaluation.results import Results, is_better
+from hybrid.evaluation.results import OURS, OURS_KEY, Key, Results, is_better
 from tests.hybrid.evaluation.fakes import METHODS, found
 
 RMFR = Key("rmfr, tuned", "equal-time")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.evaluation import sweep_run as module
 from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort
 from hybrid.evaluation.sweep_run import swept

@@ -17,8 +17,8 @@ from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from hybrid.evaluation.scoring import ScoringTask, score, scored_in_parallel
 from hybrid.measure.frame_quality import Viewer
+from hybrid.measure.image_metrics import plain_regions
 from hybrid.measure.perceptual_metrics import flip_map
-from hybrid.measure.regions import plain_regions
 from tests import small
 
 SIZE = 48

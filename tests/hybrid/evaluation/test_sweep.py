@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from hybrid.base.cache_folder import home
-from hybrid.evaluation import baselines as path_traced
-from hybrid.evaluation import fpc
+from hybrid.evaluation import methods as path_traced
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation import sweep_run as run_module
 from hybrid.evaluation.methods import HybridMethod
-from hybrid.evaluation.sweep_catalogue import SweepEffort
+from hybrid.evaluation.sweep_catalogue import FPC_FIGURE_14, SweepEffort
 from hybrid.evaluation.sweep_run import sweep
 from hybrid.render import periphery as saliency
 from pathtrace.region.neighbourhood import unseen_views
@@ -28,12 +27,12 @@ CONTENT = {"scene", "forest", "over", "title", "views", "rows", "break_even", "m
 @pytest.fixture
 def swept(made, monkeypatch, tmp_path):
     """Runs a sweep over small frames and returns what it wrote."""
-    monkeypatch.setattr(fpc, "BREAK_EVEN", {(48, 32): 51.0, (64, 32): 50.0})
-    monkeypatch.setattr(fpc, "VIEW_SIZES", ((48, 32),))
-    monkeypatch.setattr(fpc, "FIGURE_14_SIZE", (48, 32))
-    monkeypatch.setattr(fpc, "FIGURE_14_RADII", (10, 90))
+    monkeypatch.setattr(catalogue, "FPC_BREAK_EVEN", {(48, 32): 51.0, (64, 32): 50.0})
+    monkeypatch.setattr(catalogue, "FPC_VIEW_SIZES", ((48, 32),))
+    monkeypatch.setattr(catalogue, "FPC_FIGURE_14_SIZE", (48, 32))
+    monkeypatch.setattr(catalogue, "FPC_FIGURE_14_RADII", (10, 90))
     for spp in (4, 6):
-        monkeypatch.delitem(fpc.FIGURE_14, spp)
+        monkeypatch.delitem(FPC_FIGURE_14, spp)
     monkeypatch.setattr(catalogue, "_RADII", (20, 90))
     monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
 

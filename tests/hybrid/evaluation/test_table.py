@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hybrid.evaluation.sweep_tables import table
+from hybrid.evaluation.sweep_catalogue import table
 
 ROW = {
     "spp": 1,

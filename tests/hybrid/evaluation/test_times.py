@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from compose.eye.gaze import Gaze
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.evaluation.entries import Entry, time_rows
-from hybrid.evaluation.result_keys import OURS
+from hybrid.evaluation.results import OURS
 from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Recorder
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid.base.compute_device import PassClock
-from hybrid.evaluation.baselines import traced_image
+from hybrid.evaluation.methods import traced_image
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer

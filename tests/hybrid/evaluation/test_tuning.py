@@ -11,9 +11,8 @@ import pytest
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from hybrid.evaluation import equal_cost as tuning
-from hybrid.evaluation.baselines import WarpTuning
 from hybrid.evaluation.equal_cost import tuned
-from hybrid.evaluation.methods import TimedImage
+from hybrid.evaluation.methods import TimedImage, WarpTuning
 from tests import small
 from tests.hybrid.evaluation.fakes import VIEW
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from hybrid.evaluation.result_keys import OURS
-from hybrid.evaluation.results import verdicts
+from hybrid.evaluation.results import OURS, verdicts
 from tests.extremes import extreme
 from tests.hybrid.evaluation import fakes
 

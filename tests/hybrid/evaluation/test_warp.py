@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compose.eye.gaze import Gaze
-from hybrid.evaluation.baselines import Axis, Warp
+from hybrid.evaluation.methods import Axis, Warp
 
 GAZES = (0.5, 0.2, 0.0, 1.0)
 

@@ -13,7 +13,7 @@ from compose.fovea.foveation import Foveation
 from hybrid.measure import frame_quality as quality
 from hybrid.measure.frame_quality import Viewer, metric_rows
 from hybrid.measure.frame_times import medians_by_view, percentiles, ratio_interval, ratio_of_medians
-from hybrid.measure.regions import plain_regions
+from hybrid.measure.image_metrics import plain_regions
 from tests import small
 from tests.extremes import extreme
 

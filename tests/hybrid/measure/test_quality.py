@@ -19,9 +19,8 @@ from hybrid.measure.frame_quality import (
     metric_rows,
     region_metrics,
 )
-from hybrid.measure.image_metrics import psnr, ssim
+from hybrid.measure.image_metrics import REGIONS, plain_regions, psnr, regions, ssim
 from hybrid.measure.perceptual_metrics import flip_map
-from hybrid.measure.regions import REGIONS, plain_regions, regions
 from tests import small
 
 SIZE = 96

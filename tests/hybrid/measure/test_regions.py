@@ -8,7 +8,7 @@ import pytest
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
-from hybrid.measure.regions import REGIONS, ImageRegion, plain_regions, regions
+from hybrid.measure.image_metrics import REGIONS, ImageRegion, plain_regions, regions
 from tests import small
 
 # Wider than high, the gaze on the centre of the pixel in row 20 and column 50.

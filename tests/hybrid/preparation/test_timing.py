@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.base.journal import Journal
+from hybrid.base.identity import Journal
 from hybrid.preparation.stage_planner import (
     AS_EXPECTED,
     PROBED,
