@@ -108,9 +108,9 @@ class Arrays:
         return row, index - row * across
 
     def packet(self, table: _Array, size: int, index: UInt, active: Bool | bool = True) -> Sequence[_Array]:
-        """Rows of `size` numbers of a flat Float or Float64, by indices UInt (N,), as an ArrayXf (size, N).
+        """Rows of `size` numbers of a flat Float or Float64, by indices (N,), each loaded at once.
 
-        Each row is loaded at once; rows that are not active are 0.
+        They are an array (size, N); rows that are not active are 0.
         """
         kind = self.plain.ArrayXf64 if dr.type_v(table) == dr.VarType.Float64 else self.plain.ArrayXf
         return dr.gather(kind, table, index, active, shape=(size, dr.width(index)))

@@ -32,9 +32,8 @@ _VIEW = 17
 class SeenSurfaces:
     """The surfaces that V views see, each view as a small depth map.
 
-    Maps (V, h, w) are depths along the view axis at the centres of h x w cells of each view's frame; where
-    there is nothing, a distance beyond everything that is asked for. ValueError without a view, or a map of
-    each.
+    Maps (V, h, w) are depths along the view axis at the centres of cells of each view's frame; where there is
+    nothing, beyond all that is asked for. ValueError without a view, or a map of each.
     """
 
     def __init__(self, arrays: Arrays, cameras: Sequence[Camera], depths: NDArray[np.float32]):

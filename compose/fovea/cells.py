@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -112,16 +113,13 @@ class CellRegion:
 
         What cells share has the least weight of theirs.
         """
-        padded = np.pad(self.weights, 1, mode="edge")
-        down = np.minimum(padded[1:], padded[:-1])
-        across, corner = np.minimum(padded[:, 1:], padded[:, :-1]), np.minimum(down[:, 1:], down[:, :-1])
-        rows = [
-            [corner[:-1, :-1], down[:-1, 1:-1], corner[:-1, 1:]],
-            [across[1:-1, :-1], self.weights, across[1:-1, 1:]],
-            [corner[1:, :-1], down[1:, 1:-1], corner[1:, 1:]],
+        padded, (rows, columns) = np.pad(self.weights, 1, mode="edge"), self.weights.shape
+        beside = lambda y, x: padded[1 + y : 1 + y + rows, 1 + x : 1 + x + columns]  # noqa: E731
+        every = [
+            np.minimum.reduce([beside(y, x) for y in {0, down} for x in {0, across}])
+            for down, across in product((-1, 0, 1), repeat=2)
         ]
-        every = np.stack([at for row in rows for at in row], axis=-1)
-        return every.reshape(-1, 9)[self.cells]
+        return np.stack(every, axis=-1).reshape(-1, 9)[self.cells]
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: cells that are traced and all that their borders reach; `tile` is CELL."""
