@@ -48,11 +48,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     A link stays, and the file that it leads to is written. Pipes, character devices and open files such as
     /dev/stdout take the content as a stream.
 
-    Args:
-        path: the target; its folder is created.
-        write: writes the content to the path it is given, which has the target's extension.
-
-    UserError if the path names no file, or it cannot be written; no partial file is left.
+    The folder is created; `write` gets a path with the target's extension. UserError if the target names no
+    file, or cannot be written; no partial file is left.
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
@@ -182,11 +179,9 @@ def _opened(folder: Path) -> Iterator[int]:
 
 
 def require_size_below(path: Path, most_bytes: int) -> int:
-    """Size of a file in bytes, asked for before it is read.
+    """Size of a file in bytes, asked for before it is read; OSError if there is none.
 
-    Raises:
-        OSError: there is no such file.
-        ValueError: it is larger, or not an ordinary file: reading a device or a pipe might never end.
+    ValueError if it is larger, or not an ordinary file: reading a device or a pipe might never end.
     """
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
@@ -226,10 +221,8 @@ def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> 
     """The content of a JSON file of at most that many bytes; whether it is an object is not checked.
 
     Unless it must be `finite`, it may hold NaN and Infinity, which JSON does not have but Python writes.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is too large, not JSON, nested too deeply, or a number in it is too large.
+    OSError if it cannot be read; ValueError if it is too large, not JSON, nested too deeply, or a number in
+    it is too large.
     """
     require_size_below(path, most_bytes)
     # Some programs start texts with a byte order mark.

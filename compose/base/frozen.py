@@ -66,15 +66,10 @@ class AnySize:
 
 
 class Passed:
-    """An argument that says what stands for it in a recording.
+    """An argument that says what stands for it in a recording."""
 
-    Attributes:
-        flat: its type and itself, and values for Dr.Jit.
-        value: what the function gets.
-    """
-
-    flat: tuple[Any, ...]
-    value: object
+    flat: tuple[Any, ...]  # its type and itself, and values for Dr.Jit
+    value: object  # what the function gets
 
 
 class Frozen(Generic[_Result]):

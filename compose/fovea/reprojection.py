@@ -65,10 +65,8 @@ class EarlierView:
 class EarlierViews:
     """The samples of the last MOST_VIEWS views, one after another in a ring; they move only when it grows.
 
-    Attributes:
-        moment: what is seen now; set before views of it are added.
-        viewpoints: (MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is
-            none.
+    `moment` is seen now, and set before views of it are added; `viewpoints` (MOST_VIEWS, 3) are positions of
+    the cameras by number of their view, far away where there is none.
     """
 
     def __init__(self, arrays: Arrays):

@@ -143,10 +143,9 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
             the settings if None, and in trainings of fewer. Such a forest does not learn yet where it is
             wrong: others will follow.
 
-    Raises:
-        UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
-            frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers,
-            or the file cannot be written.
+    UserError if there are no frames to train on, a motion is to be learned from frames of a single time, a
+    frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers, or the
+    file cannot be written.
     """
     settings = settings or planned_settings(frames, motion=motion_for(frames, None))
     _require_enough(frames, settings)
