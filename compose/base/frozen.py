@@ -126,7 +126,6 @@ def _flattened(value: object) -> object:
 
 
 def _rebuilt(value: object) -> object:
-    """What was flattened."""
     if type(value) is dict:
         return {key: _rebuilt(part) for key, part in value.items()}
     if type(value) is not tuple:

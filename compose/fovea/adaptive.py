@@ -16,7 +16,7 @@ from compose.base.traced_samples import Counts
 from compose.image.device_image import srgb_curve
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Float, Float64
+    from drjit.auto.ad import Float
 
 # Least and greatest worth of a pixel, relative to the mean.
 _LEAST, _MOST = 0.15, 5.0
@@ -80,7 +80,13 @@ def allotted(arrays: Arrays, worth: Float, have: Float, total: int, seed: int) -
     size, wide, UInt = dr.width(have), arrays.plain.Float64, arrays.plain.UInt
     if not total:
         return 0
-    share = _relative(wide, worth)
+    known = dr.isfinite(worth)
+    counted, finite = dr.select(known, wide(1), 0), dr.select(known, wide(worth), 0)
+    # Worth relative to its mean; that is 0 where nothing says which of the known pixels are worth more.
+    mean = dr.sum(finite) / dr.maximum(dr.sum(counted), 1)
+    share = dr.clip(finite / mean, _LEAST, _MOST)
+    share = dr.select(mean > 0, share, 1)
+    share = dr.select(known, share, _MOST)
     ends = dr.min(have), dr.max(have), dr.min(share), dr.max(share)
     dr.eval(share, ends)
     least_have, most_have, least_worth, most_worth = (float(end[0]) for end in ends)
@@ -110,15 +116,3 @@ def allotted(arrays: Arrays, worth: Float, have: Float, total: int, seed: int) -
     each = UInt(dr.maximum(end - before, 0))
     dr.eval(each)
     return Counts(each, total, int(most) + 2)
-
-
-def _relative(wide: type[Float64], worth: Float) -> Float64:
-    """Float64 (D,), worth relative to its mean, within bounds; the most where it is not known."""
-    known = dr.isfinite(worth)
-    counted = dr.select(known, wide(1), 0)
-    finite = dr.select(known, wide(worth), 0)
-    # 0 where nothing says which of the known pixels are worth more.
-    mean = dr.sum(finite) / dr.maximum(dr.sum(counted), 1)
-    share = dr.clip(finite / mean, _LEAST, _MOST)
-    share = dr.select(mean > 0, share, 1)
-    return dr.select(known, share, _MOST)

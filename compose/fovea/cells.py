@@ -17,8 +17,6 @@ from compose.base.arrays import Arrays, uploaded
 from compose.eye.detail import CELL
 
 if TYPE_CHECKING:
-    from types import ModuleType
-
     from drjit.auto.ad import Bool, Float, Int, UInt
 
     from compose.fovea.disc import Disc
@@ -96,9 +94,12 @@ class CellRegion:
         cell, place = lane // CELL**2, lane % CELL**2
         row, column = arrays.rows_columns(dr.gather(plain.UInt, numbers, cell), self.weights.shape[1])
         down, across = place // CELL, place % CELL
-        weight = _interpolated(
-            plain, lattices, cell * 9, _along(plain.Float(down)), _along(plain.Float(across))
-        )
+        # Bilinearly on the cell's lattice.
+        y, x = _along(plain.Float(down)), _along(plain.Float(across))
+        i, j = (plain.UInt(dr.minimum(at, 1)) for at in (y, x))
+        taps = [dr.gather(plain.Float, lattices, cell * 9 + (i + k // 2) * 3 + j + k % 2) for k in range(4)]
+        right, below = x - plain.Float(j), y - plain.Float(i)
+        weight = dr.lerp(dr.lerp(taps[0], taps[1], right), dr.lerp(taps[2], taps[3], right), below)
         row, column = row * CELL + down, column * CELL + across
         pixel = row * arrays.constant(self.width) + column
         if self.count == len(self.cells) * CELL**2:
@@ -138,14 +139,6 @@ def _along(place: Float) -> Float:
     """Where on the lattice of a cell, 0 to 2, a row or column of its pixels lies."""
     end = CELL - 0.5 - place
     return dr.minimum((place + 0.5) * (1 / _BAND), 1) + 1 - dr.minimum(end * (1 / _BAND), 1)
-
-
-def _interpolated(plain: ModuleType, lattices: Float, first: UInt, down: Float, across: Float) -> Float:
-    """Float, a 3 x 3 lattice that starts at an index, at a place from 0 to 2 along each side."""
-    row, column = (plain.UInt(dr.minimum(at, 1)) for at in (down, across))
-    taps = [dr.gather(plain.Float, lattices, first + (row + k // 2) * 3 + column + k % 2) for k in range(4)]
-    right, below = across - plain.Float(column), down - plain.Float(row)
-    return dr.lerp(dr.lerp(taps[0], taps[1], right), dr.lerp(taps[2], taps[3], right), below)
 
 
 @dataclass(frozen=True)

@@ -375,5 +375,4 @@ def _compared(
 
 
 def _product(one: list[Float64], other: list[Float64]) -> Float64:
-    """Scalar product of two vectors."""
     return dr.sum([a * b for a, b in zip(one, other, strict=True)])

@@ -276,7 +276,14 @@ def _errors(fusion: Fusion, example: Example) -> _Errors:
 
 def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
     """Shares in one cell, and their gain over the better parent in decibels."""
-    scaled = _relative(of_views)
+    # Errors of each view over the better parent's in each block.
+    apart = {view: e[:, 1, 1] + e[:, 2, 2] - 2 * e[:, 1, 2] for view, e in of_views.items()}
+    floor = max(_LEAST_OF_ALL * float(np.concatenate(list(apart.values())).mean()), 1e-9)
+    scaled = {}
+    for view, e in of_views.items():
+        better = np.minimum(e[:, 1, 1], e[:, 2, 2])
+        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), floor)
+        scaled[view] = e / scale[:, None, None]
     mean = np.concatenate(list(scaled.values())).mean(axis=0)  # (M, M)
     parent = int(np.argmin([mean[1, 1], mean[2, 2]])) + 1
     alone = np.eye(len(MIXED))[parent]
@@ -296,18 +303,6 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
     least = max(float(errors.diagonal()[1:].min()), 0) + INVISIBLE
     rest = max(float(np.concatenate(left).mean()) + INVISIBLE, _LEAST_LEFT * least)
     return _best(mean), float(10 * np.log10(least / rest))
-
-
-def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:
-    """Errors (B, M, M) of each view over the better parent's in each block."""
-    apart = {view: e[:, 1, 1] + e[:, 2, 2] - 2 * e[:, 1, 2] for view, e in of_views.items()}
-    floor = max(_LEAST_OF_ALL * float(np.concatenate(list(apart.values())).mean()), 1e-9)
-    found = {}
-    for view, e in of_views.items():
-        better = np.minimum(e[:, 1, 1], e[:, 2, 2])
-        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), floor)
-        found[view] = e / scale[:, None, None]
-    return found
 
 
 def _best(mean: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -100,5 +100,4 @@ def _seeds(
 
 
 def _normals(seeds: Gaussians) -> torch.Tensor:
-    """(3, N) normals of seeds."""
     return turned(seeds.rotations, torch.tensor([[0.0], [0.0], [1.0]]).expand(3, len(seeds)))

@@ -258,7 +258,6 @@ class _Job:
         return forest
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
-        """Adds a row to the curve."""
         number = self.planner.number
 
         def row() -> dict[str, Any]:

@@ -82,7 +82,6 @@ def stated_error(frames: GrowingFrames) -> float:
 
 
 def _error(frames: GrowingFrames, number: int) -> FrameError:
-    """What the halves of a frame tell."""
     return frame_error(*frames.halves(number), frames.radiance(number))
 
 
