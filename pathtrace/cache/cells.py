@@ -163,7 +163,7 @@ def _names(
     return first, second | np.uint32(1)
 
 
-def cell_names_jit(position: Any, normal: Any, level: int) -> tuple[Any, Any]:
+def cell_names_jit(position: mi.Point3f, normal: mi.Normal3f, level: int) -> tuple[Any, Any]:
     """Two names of the cells of a level that N Mitsuba points lie in, from points and their normals."""
     x, y, z = (mi.UInt32(mi.Int32(values)) for values in dr.floor(position / SIDES[level]))
     size = dr.abs(normal)
@@ -176,7 +176,9 @@ def cell_names_jit(position: Any, normal: Any, level: int) -> tuple[Any, Any]:
     return first, second | 1
 
 
-def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer: Any) -> Any:
+def _mixed(
+    x: Integers, y: Integers, z: Integers, kind: Integers, factors: tuple[int, ...], integer: type[Integers]
+) -> Integers:
     """32 bits in which neighbouring cells have nothing in common.
 
     The sum of products gives cells near each other different numbers, which an exclusive or would not; the
@@ -222,7 +224,7 @@ class Table:
         return not len(waiting)
 
 
-def find(table: tuple[Any, Any], first: Any, second: Any, active: Any) -> tuple[Any, Any]:
+def find(table: tuple[Any, Any], first: mi.UInt32, second: mi.UInt32, active: mi.Bool) -> tuple[Any, Any]:
     """Whether a `Table` has N cells, given by their names, and their indices (0 where it has not)."""
     names, indices = table
     last = dr.width(names) - 1

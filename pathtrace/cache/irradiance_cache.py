@@ -65,7 +65,7 @@ class IrradianceCache:
     def _table(self) -> Table:
         return Table(np.concatenate(self.cells.keys))
 
-    def arrays(self, scene: Any) -> CacheArrays:
+    def arrays(self, scene: mi.Scene) -> CacheArrays:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
@@ -93,7 +93,13 @@ class CacheArrays:
 
 
 def look_up(
-    arrays: tuple[Any, ...], position: Any, normal: Any, area: Any, segments: Any, jitter: Any, active: Any
+    arrays: tuple[Any, ...],
+    position: mi.Point3f,
+    normal: mi.Normal3f,
+    area: mi.Float,
+    segments: mi.UInt32,
+    jitter: mi.Point2f,
+    active: mi.Bool,
 ) -> tuple[Any, Any]:
     """Mask of the paths that get an answer, and irradiance (Color3f), from the smallest cells that are known.
 
@@ -123,7 +129,7 @@ def look_up(
     return known, mi.Color3f(*(dr.gather(mi.Float, channel, cell, known) for channel in channels))
 
 
-def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
+def irradiance_share(flags: mi.UInt32, wi: mi.Vector3f, wo: mi.Vector3f, pdf: mi.Float) -> mi.Float:
     """Share, 0 to 1, of the light scattered between N pairs of directions that irradiance stands for.
 
     A cache gives that share, a path or shadow ray the rest. Both may then sample all of the surface's lobes,
@@ -140,13 +146,13 @@ def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
     return dr.select(diffuse & (pdf > 0), dr.select(shows_lights(flags), share, 1), 0)
 
 
-def sampled_share(flags: Any, wi: Any, sample: Any) -> Any:
+def sampled_share(flags: mi.UInt32, wi: mi.Vector3f, sample: mi.BSDFSample3f) -> mi.Float:
     """`irradiance_share` of N sampled directions, given as Mitsuba BSDF samples."""
     delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
     return irradiance_share(flags, wi, sample.wo, dr.select(delta, 0, sample.pdf))
 
 
-def shows_lights(flags: Any) -> Any:
+def shows_lights(flags: mi.UInt32) -> mi.Bool:
     """Whether surfaces, by their BSDF flags, have lobes that show what is in some directions.
 
     The others reflect irradiance only.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
 from pathtrace.cache.cells import Grid, Points, Table, cell_names_jit, find
+from pathtrace.scene.instances import AnyScene
 
 # Surfaces that a shadow ray passes at most.
 _MOST = 32
@@ -26,7 +27,9 @@ _EVEN = 0.2
 
 
 @dr.syntax
-def transmittance(scene: Any, hit: Any, point: Any, active: Any) -> Any:
+def transmittance(
+    scene: AnyScene, hit: mi.SurfaceInteraction3f, point: mi.Point3f, active: mi.Bool
+) -> mi.Color3f:
     """Share of light (Color3f) that comes to N interactions from points, through what lets it pass.
 
     Surfaces pass what their BSDF's null component does: thin glass, and the holes of masks. The share is 0
@@ -95,7 +98,7 @@ class LightChoice:
         known = np.append(self.keys, np.uint64(0))[row] == key
         return np.where(known, row, len(self.keys))
 
-    def arrays(self, scene: Any) -> tuple[Any, ...]:
+    def arrays(self, scene: mi.Scene) -> tuple[Any, ...]:
         """The choice of a Mitsuba scene's lights as Dr.Jit arrays for `Lights`.
 
         These are grid, table, rows, light numbers, chances, and running sums.
@@ -146,7 +149,7 @@ def _chances(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     return _EVEN / lights + (1 - _EVEN) * learnt
 
 
-def light_numbers(scene: Any) -> NDArray[np.uint32]:
+def light_numbers(scene: mi.Scene) -> NDArray[np.uint32]:
     """Index of each light in the scene, by the number by which kernels know it."""
     registered = dr.reinterpret_array(mi.UInt32, scene.emitters_dr()).numpy()
     numbers = np.zeros(int(registered.max()) + 1, dtype=np.uint32)
@@ -157,20 +160,22 @@ def light_numbers(scene: Any) -> NDArray[np.uint32]:
 class Lights:
     """The lights of a Mitsuba scene inside a kernel, chosen by a `LightChoice`, given as its arrays."""
 
-    def __init__(self, scene: Any, arrays: tuple[Any, ...], thin_glass: bool = False):
+    def __init__(self, scene: AnyScene, arrays: tuple[Any, ...], thin_glass: bool = False):
         self._scene, self._thin_glass = scene, thin_glass
         self._grid, self._table, self._rows, self._numbers, self._chances, self._running = arrays
         self._count = len(scene.emitters())
         self._emitters = scene.emitters_dr()
 
-    def row(self, position: Any, side: Any, active: Any) -> Any:
+    def row(self, position: mi.Point3f, side: mi.Normal3f, active: mi.Bool) -> mi.UInt32:
         """Row of chances at N surface points with normals of the lit side."""
         origin, scale = self._grid
         names = cell_names_jit((position - origin) / scale, side, _LEVEL)
         known, cell = find(self._table, *names, active)
         return dr.select(known, cell, self._rows)
 
-    def sample(self, hit: Any, row: Any, point: Any, active: Any) -> tuple[Any, Any]:
+    def sample(
+        self, hit: mi.SurfaceInteraction3f, row: mi.UInt32, point: mi.Point2f, active: mi.Bool
+    ) -> tuple[Any, Any]:
         """As Mitsuba's `Scene.sample_emitter_direction`, without shadows: direction sample and radiance."""
         start = row * self._count
         above = lambda index: dr.gather(mi.Float, self._running, start + index, active) < point.x  # noqa: E731
@@ -184,14 +189,18 @@ class Lights:
         light.pdf = dr.select(lit, light.pdf * chance, 0)
         return light, dr.select(lit, emitted / chance, 0)
 
-    def arriving(self, hit: Any, light: Any, emitted: Any, active: Any) -> Any:
+    def arriving(
+        self, hit: mi.SurfaceInteraction3f, light: mi.DirectionSample3f, emitted: mi.Color3f, active: mi.Bool
+    ) -> mi.Color3f:
         """What arrives of that which sampled places on lights emit, by shadow rays; 0 where it is hidden."""
         if self._thin_glass:
             return emitted * transmittance(self._scene, hit, light.p, active)
         seen = active & ~self._scene.ray_test(hit.spawn_ray_to(light.p), active)
         return dr.select(seen, emitted, 0)
 
-    def pdf(self, before: Any, row: Any, found: Any, active: Any) -> Any:
+    def pdf(
+        self, before: mi.SurfaceInteraction3f, row: mi.UInt32, found: mi.DirectionSample3f, active: mi.Bool
+    ) -> mi.Float:
         """As Mitsuba's `Scene.pdf_emitter_direction`."""
         number = dr.gather(mi.UInt32, self._numbers, dr.reinterpret_array(mi.UInt32, found.emitter), active)
         chance = dr.gather(mi.Float, self._chances, row * self._count + number, active)

@@ -287,7 +287,7 @@ class Transfer:
         return np.asarray(self.numbers / of_regions[regions])[:, None]
 
     @cached_property
-    def _averaging(self) -> Any:
+    def _averaging(self) -> sparse.csr_array:
         return self.transport.patches.averaging(self.numbers)
 
     def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> NDArray[np.float32]:

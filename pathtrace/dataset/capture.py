@@ -34,7 +34,7 @@ from pathtrace.dataset.captured_frames import (
 from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, FrameSet, read_frame_set
 from pathtrace.region.neighbourhood import ViewSet, choose_views, monocular_views
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from pathtrace.trace.tracer import Tracer
 
 # Keeps the seeds of different captures apart: far more than one capture has frames.

@@ -120,7 +120,7 @@ def read_model(folder: Path) -> ColmapModel:
     return ColmapModel(cameras, images, _read(names[2], readers[2]))
 
 
-def _read(path: Path, reader: Callable[[bytes], Any]) -> Any:
+def _read(path: Path, reader: Callable[[bytes], Any]) -> Content:
     """What a reader makes of a file."""
     try:
         require_size_below(path, _MOST_BYTES)

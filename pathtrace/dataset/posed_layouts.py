@@ -129,7 +129,7 @@ def _hash(images: list[PosedImage]) -> str:
     return state.hexdigest()
 
 
-def document(path: Path) -> Any:
+def document(path: Path) -> dict[str, Any]:
     """The content of a JSON file; UserError if it is missing, cannot be read, or is no JSON."""
     try:
         return read_json(path)
@@ -172,7 +172,7 @@ def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
     return [replace(image, held_out=number % HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
 
 
-def _frames(path: Path, content: Any, held_out: bool) -> list[PosedImage]:
+def _frames(path: Path, content: dict[str, Any], held_out: bool) -> list[PosedImage]:
     """The images that the content of a file describes."""
     with described_by(path):
         frames = list(content["frames"])
@@ -185,7 +185,7 @@ def _frames(path: Path, content: Any, held_out: bool) -> list[PosedImage]:
     return found
 
 
-def _image_file(folder: Path, name: Any) -> Path:
+def _image_file(folder: Path, name: str) -> Path:
     """The image of a frame: as it is named, or of the first kind that there is if only the stem is named."""
     file = file_inside(folder, name.replace("\\", "/") if isinstance(name, str) else name)
     if file.suffix.lower() in _IMAGES:
@@ -326,7 +326,7 @@ def _label(folder: Path, name: str, size: tuple[int, int]) -> Path:
 
 
 def _nerfies_camera(
-    content: Any, centre: NDArray[np.float64], scale: float, level: int, size: tuple[int, int]
+    content: dict[str, Any], centre: NDArray[np.float64], scale: float, level: int, size: tuple[int, int]
 ) -> tuple[Camera, Lens | None]:
     """The camera of an image, and its lens if that distorts."""
     rotation = np.asarray(content["orientation"], dtype=np.float64)

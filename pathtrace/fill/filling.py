@@ -4,22 +4,197 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from compose.camera.camera import Camera
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points, joined_points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightChoice
+from pathtrace.cache.transport import Links, Patches, Rays, Transfer, Transport, sums_by
 from pathtrace.fill.gather import Seen, gather_direct, gather_seen
-from pathtrace.fill.guiding import GuidedPlaces, even_squares, guided_transfer, shuffled
+from pathtrace.scene.instances import AnyScene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
+
+# Bins along each side of the square of directions.
+_SIDE = 8
+_BINS = _SIDE**2
+# Share of the guided rays that is sent in even directions: nothing may be missed.
+_EVEN = 0.5
+# Points that are looked at to find a near one, at most.
+_CANDIDATES = 1 << 16
+# Distance, in units of the cells' scale, that counts as much as an angle of 60 degrees between normals.
+_TURNED = 0.1
+
+
+class Guide:
+    """Light (R, bins) by direction in R regions: sums of what M rays in even directions brought.
+
+    A ray that brought much raises the density of its own direction, which would take weight from it: each ray
+    is weighed by what the other rays found, or the sum would be too small.
+
+    What rays brought is in any unit, at least 0. They start in regions, counted from 0, and their directions
+    lie at squares as in `Seen`.
+    """
+
+    def __init__(self, region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]):
+        regions = int(region.max(initial=-1)) + 1
+        sums = np.bincount(region * _BINS + _bins(square), brought, regions * _BINS)
+        self._light = sums.reshape(regions, _BINS).astype(float)
+        self._total = self._light.sum(axis=1)
+
+    def _density(self, light: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Density in the square where a bin has some of the light of its region; even where all is dark."""
+        share = np.divide(light, total, out=np.full_like(light, 1 / _BINS), where=total > 0)
+        return _EVEN + (1 - _EVEN) * _BINS * share
+
+    def squares(self, region: NDArray[np.int64], random: np.random.Generator) -> NDArray[np.float32]:
+        """Where the directions (M, 2) of guided rays lie, which start in regions (M,)."""
+        density = self._density(self._light, np.broadcast_to(self._total[:, None], self._light.shape))
+        running = np.cumsum(density, axis=1)
+        running /= running[:, -1:]
+        # All rows in one ascending list: row r lies between r and r + 1.
+        steps = (running + np.arange(len(running))[:, None]).ravel()
+        chosen = np.searchsorted(steps, region + random.random(len(region)), side="right")
+        bins = np.clip(chosen - region * _BINS, 0, _BINS - 1)
+        corner = np.stack(np.divmod(bins, _SIDE), axis=1)
+        square = ((corner + random.random(corner.shape)) / _SIDE).astype(np.float32)
+        # Rounding must not reach the next bin.
+        return np.minimum(square, np.nextafter(((corner + 1) / _SIDE).astype(np.float32), np.float32(0)))
+
+    def weights(
+        self,
+        region: NDArray[np.int64],
+        square: NDArray[np.float32],
+        brought: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """(M,) weights of rays of a mean over as many even as guided ones.
+
+        For rays that the guide was learnt from, `brought` (M,) is what each brought.
+        """
+        own = np.zeros(len(region)) if brought is None else brought.astype(np.float64)
+        light, total = self._light[region, _bins(square)] - own, self._total[region] - own
+        # What rounding leaves of a sum of one ray is no light.
+        rest = total > 1e-9 * self._total[region]
+        density = self._density(np.where(rest, np.maximum(light, 0), 0), np.where(rest, total, 0))
+        weights: NDArray[np.float32] = (2 / (1 + density)).astype(np.float32)
+        return weights
+
+
+def even_squares(count: int, each: int, random: np.random.Generator) -> NDArray[np.float32]:
+    """(M, 2) even directions of `count` points in `each` strata, one ray of each point in every stratum."""
+    square = random.random((count * each, 2), dtype=np.float32)
+    square[:, 0] = (square[:, 0] + np.tile(np.arange(each, dtype=np.float32), count)) / each
+    return np.minimum(square, np.nextafter(np.float32(1), np.float32(0)))
+
+
+def _bins(square: NDArray[np.float32]) -> NDArray[np.int64]:
+    """(M,) bin in which each point of the square lies."""
+    row, column = np.minimum((square * _SIDE).astype(np.int64), _SIDE - 1).T
+    return row * _SIDE + column
+
+
+def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
+    """(M,) cell that each ray hit; -1 where it left the scene, or if there is no cell.
+
+    Where a ray hit no cell, since nothing is known there or something divides the cell, the cell of the
+    nearest point that faces the same way stands for it. Without these rays the mean of the others would
+    stand for them, although they often hit what is darker: corners, and what lies behind things. The cells
+    are known by the points.
+    """
+    hit = np.where(seen.valid, cells.smallest(seen.hits), -1)
+    lost = np.flatnonzero(seen.valid & (hit < 0))
+    if not len(lost):
+        return hit
+    candidates = points.take(np.arange(0, len(points), -(-len(points) // _CANDIDATES)))
+    own = cells.smallest(candidates)
+    if (own < 0).all():
+        return hit
+    scale = np.float32(cells.grid.scale)
+    place = lambda some: np.hstack([some.position / scale, np.float32(_TURNED) * some.normal])  # noqa: E731
+    tree = KDTree(place(candidates.take(own >= 0)), balanced_tree=False, compact_nodes=False)
+    _, nearest = tree.query(place(seen.hits.take(lost)))
+    hit[lost] = own[own >= 0][nearest]
+    return hit
+
+
+def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -> Links:
+    """The links of rays, by the cells (M,) that they hit and their weights (M,) in the means of points."""
+    # Without any cell, nothing can be said of the rays that hit something.
+    kept = np.flatnonzero(~seen.valid | (cell >= 0))
+    reflectance = weight[kept, None] * seen.reflectance[kept]
+    return Links(seen.point[kept], cell[kept], seen.bounces[kept], reflectance)
+
+
+class GuidedPlaces:
+    """N points, the cells and regions (N,) that they lie in, and irradiance (N, 3) from lights there."""
+
+    def __init__(self, points: Points, cells: Cells, direct: NDArray[np.float32]):
+        self.points, self.cells, self.direct = points, cells, direct
+        self._patches, self._patch = Patches.of(cells.indices(points), len(cells))
+        self.regions = self._patches.regions[self._patch]
+
+    def transfer(self, seen: Seen, hit: NDArray[np.int64], weight: NDArray[np.float32]) -> Transfer:
+        """What rays from the points found, summed over patches, given the cells that they hit."""
+        transport = Transport.of(links_of(seen, hit, weight), self._patches, self._patch)
+        direct = sums_by(self._patch, self.direct, len(self._patches))
+        # Of each ray, the light that a point gets is pi times that, over the number of the point's rays.
+        arriving = (np.pi * len(self.points) / len(seen.point) * weight).astype(np.float32)
+        region = self.regions[seen.point]
+        count = int(self.regions.max()) + 1
+        shown = arriving[:, None] * seen.radiance
+        reflected = sums_by(region, shown, count)
+        shiny = np.flatnonzero(seen.shiny)
+        rays = Rays(seen.point[shiny].astype(np.int32), seen.square[shiny], arriving[shiny])
+        light = direct.astype(np.float32), reflected.astype(np.float32)
+        passed = _passed(region, seen.passed, shown.mean(axis=1), count)
+        return Transfer(self.points, self._patch, rays, *light, passed, transport, self.cells.known)
+
+
+def _passed(
+    region: NDArray[np.int64], passed: NDArray[np.int64], light: NDArray[np.float32], count: int
+) -> NDArray[np.float32]:
+    """(B, count) share of the light (M,) of each region's rays that met at most 1, 2, ... surfaces."""
+    most = int(passed.max(initial=1))
+    sums = np.bincount((passed - 1) * count + region, light, most * count).reshape(most, count).cumsum(axis=0)
+    return np.divide(sums, sums[-1], out=np.ones_like(sums), where=sums[-1] > 0).astype(np.float32)
+
+
+def guided_transfer(
+    scene: AnyScene, places: GuidedPlaces, even: Seen, most: int, random: np.random.Generator
+) -> Transfer:
+    """The transfer by rays in even directions, and by as many that follow where these found light.
+
+    `even` was seen by the same number of rays from each point; `most` is as in `Transport.irradiance`.
+    """
+    points, cells = places.points, places.cells
+    hit = cells_hit(even, points, cells)
+    known = places.transfer(even, hit, np.ones(len(hit), dtype=np.float32)).irradiance(most)[-1]
+    found = np.where(hit[:, None] >= 0, known[hit] * even.reflectance, 0) + np.pi * even.radiance
+    brought, region = found.mean(axis=1), places.regions[even.point]
+    guide = Guide(region, even.square, brought)
+    further = gather_seen(
+        scene, points, even.point, guide.squares(region, random), int(random.integers(1 << 32))
+    )
+    weights = guide.weights(region, even.square, brought), guide.weights(region, further.square)
+    hits = hit, cells_hit(further, points, cells)
+    return places.transfer(Seen.joined([even, further]), np.concatenate(hits), np.concatenate(weights))
+
+
+def shuffled(transfer: Transfer, random: np.random.Generator) -> Transfer:
+    """A transfer with its points and rays in random order, so that any part of them stands for all."""
+    points, rays = (random.permutation(len(some)) for some in (transfer.points, transfer.rays))
+    place = np.empty(len(points), dtype=np.int32)
+    place[points] = np.arange(len(points), dtype=np.int32)
+    moved = Rays(place[transfer.rays.point[rays]], transfer.rays.square[rays], transfer.rays.weight[rays])
+    return replace(transfer, points=transfer.points.take(points), patch=transfer.patch[points], rays=moved)
+
 
 # Points of each generation.
 POINTS = 1 << 17
@@ -85,7 +260,7 @@ def fill_cache(
     return IrradianceCache(cells.only_known(), irradiance[:, cells.known], lights, shuffled(transfer, random))
 
 
-def _seen_evenly(scene: Any, points: Points, random: np.random.Generator) -> Seen:
+def _seen_evenly(scene: AnyScene, points: Points, random: np.random.Generator) -> Seen:
     """What is seen from points in even directions."""
     square = even_squares(len(points), _RAYS, random)
     return gather_seen(scene, points, np.repeat(np.arange(len(points)), _RAYS), square, _state(random))
@@ -109,7 +284,7 @@ def _scale(scene: Scene, camera: Camera) -> float:
     return distance if np.isfinite(distance) else float(dr.max(scene.mitsuba.bbox().extents()))
 
 
-def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
+def _path_ends(scene: AnyScene, camera: Camera, count: int, seed: int) -> Points:
     """Where paths of a camera are scattered first, and where they arrive then."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), count)
@@ -127,7 +302,7 @@ def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
 
 
 def _joined(
-    scene: Any, points: Points, one: NDArray[np.int64], other: NDArray[np.int64], side: float
+    scene: mi.Scene, points: Points, one: NDArray[np.int64], other: NDArray[np.int64], side: float
 ) -> NDArray[np.bool_]:
     """Whether nothing lies between points, seen from a little above their surfaces."""
     if not len(one):

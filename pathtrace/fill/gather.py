@@ -25,7 +25,7 @@ from pathtrace.cache.irradiance_cache import (
     shows_lights,
 )
 from pathtrace.cache.light_selection import LightSamples, light_numbers
-from pathtrace.scene.instances import of_mitsuba
+from pathtrace.scene.instances import AnyScene, of_mitsuba
 from pathtrace.scene.scene import Scene
 
 # Samples of lights from each point; a square, for they are stratified.
@@ -58,7 +58,7 @@ class Followed:
     reflectance: Any
 
 
-def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
+def surfaces_at(places: tuple[Any, Any], index: mi.UInt32, active: mi.Bool = True) -> mi.SurfaceInteraction3f:
     """Mitsuba interactions at some places, given all positions and unit normals of the lit side."""
     position = dr.gather(mi.Point3f, places[0], index, active)
     normal = dr.gather(mi.Normal3f, places[1], index, active)
@@ -68,13 +68,15 @@ def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
     return at
 
 
-def stratified(sampler: Any, lane: Any) -> Any:
+def stratified(sampler: mi.Sampler, lane: mi.UInt32) -> mi.Point2f:
     """Random points in the unit square, spread evenly over each SAMPLES lanes."""
     row, column = (lane % SAMPLES) // _STRATA, lane % _STRATA
     return mi.Point2f((column + sampler.next_1d()) / _STRATA, (row + sampler.next_1d()) / _STRATA)
 
 
-def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any, Any, Any]:
+def lit(
+    scene: AnyScene, at: mi.SurfaceInteraction3f, square: mi.Point2f, other: mi.Point2f, active: mi.Bool
+) -> tuple[Any, Any, Any]:
     """Irradiance at points from lights, by one shadow ray each and one ray that may hit a light.
 
     A lamp that touches a point is hardly ever sampled where it does, and then outshines all others; rays in
@@ -107,22 +109,24 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
     return sampled + hits, sampled, registered
 
 
-def _ray(at: Any, square: Any) -> Any:
+def _ray(at: mi.SurfaceInteraction3f, square: mi.Point2f) -> mi.Ray3f:
     return at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
 
 
-def _finite(light: Any) -> Any:
+def _finite(light: mi.Color3f) -> mi.Color3f:
     """Light, black where it is not finite: it would spoil its cell's mean."""
     return dr.select(dr.all(dr.isfinite(light)), light, 0)
 
 
-def _chosen(sampler: Any, part: Any, total: Any) -> Any:
+def _chosen(sampler: mi.Sampler, part: mi.Color3f, total: mi.Color3f) -> mi.Bool:
     """Mask of the lanes in which a part of a sum is chosen in proportion to its size."""
     return sampler.next_1d() * dr.mean(total) < dr.mean(part)
 
 
 @dr.syntax
-def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
+def followed(
+    scene: AnyScene, sampler: mi.Sampler, at: mi.SurfaceInteraction3f, square: mi.Point2f, active: mi.Bool
+) -> Followed:
     """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
     ray, active = _ray(at, square), mi.Bool(active)
     context, passed = mi.BSDFContext(), mi.UInt32(1)
@@ -214,7 +218,7 @@ class Seen:
         return Seen(**values, hits=joined_points([part.hits for part in parts]))
 
 
-def gather_direct(scene: Any, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
+def gather_direct(scene: AnyScene, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
     """Irradiance (N, 3) from the lights of a Mitsuba scene at N points, by SAMPLES samples of them at each.
 
     Also returns the samples; same seed, same samples.
@@ -227,7 +231,12 @@ def gather_direct(scene: Any, points: Points, seed: int) -> tuple[NDArray[np.flo
 
 
 def sampled_lights(
-    scene: Any, state: Any, places: tuple[Any, Any], count: int, first: Any = 0, total: Any = None
+    scene: AnyScene,
+    state: mi.UInt32,
+    places: tuple[Any, Any],
+    count: int,
+    first: mi.UInt32 | int = 0,
+    total: int | None = None,
 ) -> tuple[Any, ...]:
     """Three channels of irradiance at `count` points, that of each sample, and its light's number.
 
@@ -249,7 +258,7 @@ def sampled_lights(
 
 
 def gather_seen(
-    scene: Any, points: Points, point: NDArray[np.int64], square: NDArray[np.float32], seed: int
+    scene: AnyScene, points: Points, point: NDArray[np.int64], square: NDArray[np.float32], seed: int
 ) -> Seen:
     """Follows M rays from points of a Mitsuba scene; `point` and `square` are those of `Seen`.
 

@@ -21,8 +21,8 @@ from pathtrace.cache.light_selection import LightLearning, LightSamples, light_n
 from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
 from pathtrace.fill.filling import segments_beyond_cache
 from pathtrace.fill.gather import SAMPLES, followed, sampled_lights, surfaces_at
+from pathtrace.scene.instances import AnyScene, FrozenWithScenes
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.frozen import FrozenWithScenes
 
 # Share of the mean light that a dark place is taken to have had: where it was dark, a lamp may now shine.
 _LEAST = 1e-3
@@ -145,7 +145,7 @@ class Part:
 class Resampling:
     """Samples the lights of a Mitsuba scene from the points and rays of a transfer, part by part."""
 
-    def __init__(self, scene: Any, transfer: Transfer, parts: int, seed: int):
+    def __init__(self, scene: AnyScene, transfer: Transfer, parts: int, seed: int):
         self._scene, self._numbers = scene, light_numbers(scene)
         self._parts, self._next, self._random = parts, 0, np.random.default_rng(seed)
         self._counts = len(transfer.points), len(transfer.rays)
@@ -178,12 +178,20 @@ class Resampling:
         """Seed and first index of a part, for kernels."""
         return tuple(dr.opaque(mi.UInt32, n) for n in (int(self._random.integers(1 << 32)), part.start))
 
-    def _of_points(self, scene: Any, state: Any, first: Any, position: Any, normal: Any) -> tuple[Any, ...]:
+    def _of_points(
+        self, scene: AnyScene, state: mi.UInt32, first: mi.UInt32, position: mi.Point3f, normal: mi.Normal3f
+    ) -> tuple[Any, ...]:
         """Direct light at points, its samples and their lights; frozen."""
         return sampled_lights(scene, state, (position, normal), self._sizes[0], first, self._counts[0])
 
     def _of_rays(
-        self, scene: Any, state: Any, first: Any, position: Any, normal: Any, *rays: Any
+        self,
+        scene: AnyScene,
+        state: mi.UInt32,
+        first: mi.UInt32,
+        position: mi.Point3f,
+        normal: mi.Normal3f,
+        *rays: dr.ArrayBase,
     ) -> tuple[Any, ...]:
         """Light of lights that rays find; frozen."""
         point, square, weight = rays

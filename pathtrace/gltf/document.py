@@ -140,7 +140,7 @@ def _parts(content: bytes) -> tuple[bytes, bytes | None]:
     return chunks[_JSON], chunks.get(_BINARY)
 
 
-def _mended(tree: Any) -> Any:
+def _mended(tree: object) -> object:
     """A tree without what the specification forbids and exporters write nevertheless.
 
     That is empty lists, animations without channels, and URIs with spaces and the backslashes of Windows.

@@ -183,7 +183,12 @@ def _has_area(faces: Faces, positions: Array, *targets: Array) -> bool:
     return False
 
 
-def _skin(document: Document, node: int, attributes: dict[str, Any], of_vertices: Any) -> Skin | None:
+def _skin(
+    document: Document,
+    node: int,
+    attributes: dict[str, Any],
+    of_vertices: Callable[[dict[str, Any], str, int], Array],
+) -> Skin | None:
     item = document.section("nodes")[node]
     if "skin" not in item or "JOINTS_0" not in attributes:
         return None

@@ -14,7 +14,7 @@ from compose.camera.camera import Array
 from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.meshes import Primitive
 from pathtrace.scene.courses import nearest_rotations
-from pathtrace.scene.tracks import Keyframe, RigidTrack
+from pathtrace.scene.motion_file import Keyframe, RigidTrack
 
 # How far a matrix may be from a rotation: that of float32 along a chain of some nodes.
 _RIGID = 1e-4

@@ -23,8 +23,7 @@ from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
 from compose.camera.camera import Array, Camera, look_at, turned
 from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
-from pathtrace.region.looks import Looks, looks_of, upright
-from pathtrace.region.view_selection import DrawnRegion
+from pathtrace.region.view_selection import DrawnRegion, Looks, looks_of, upright
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 
@@ -74,7 +73,7 @@ def read_path(file: Path, up: Array) -> tuple[list[Array], float | None]:
     return poses, radius
 
 
-def _pose(frame: Any, up: Array) -> Array:
+def _pose(frame: dict[str, Any], up: Array) -> Array:
     """(4, 4) camera-to-world of a frame, OpenCV axes."""
     if not isinstance(frame, dict):
         raise ValueError("not an object")

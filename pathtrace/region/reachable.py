@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera, sphere_directions, unit
-from pathtrace.region.looks import Looks, turned_about, upright, widened
-from pathtrace.region.view_selection import DrawnRegion
+from pathtrace.region.view_selection import DrawnRegion, Looks, turned_about, upright, widened
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 

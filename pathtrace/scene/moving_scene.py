@@ -22,8 +22,8 @@ from pathtrace.scene.courses import (
     is_unchanged,
     spread_over_faces,
 )
-from pathtrace.scene.instances import InstancedScene, of_mitsuba
-from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, RigidTrack, SceneMotion, ShapeTrack
+from pathtrace.scene.instances import AnyScene, InstancedScene, of_mitsuba
+from pathtrace.scene.motion_file import Formula, LightTrack, MeshTrack, RigidTrack, SceneMotion, ShapeTrack
 
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
@@ -50,7 +50,9 @@ class MovingScene:
         source: name of the scene, for error messages.
     """
 
-    def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):
+    def __init__(
+        self, scene: AnyScene, motion: SceneMotion, names: dict[str, str], place: Place, source: str
+    ):
         self.motion, self.time = motion, 0.0
         self._scene, self._names = scene, names
         self._parameters = mi.traverse(of_mitsuba(scene))
@@ -148,7 +150,7 @@ class _Tracked:
     and not by the garbage collector, which may come while Dr.Jit goes through all scenes.
     """
 
-    def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
+    def __init__(self, parameters: mi.SceneParameters, names: dict[str, str], place: Place, source: str):
         self.place, self._parameters, self._names, self._source = place, parameters, names, source
 
     def parts(self, motion: SceneMotion, rest: Mapping[str, Array]) -> list[_Part]:
@@ -244,7 +246,7 @@ class _Tracked:
 
         return between_meshes
 
-    def _mesh(self, name: str, file: Any, count: int) -> Array:
+    def _mesh(self, name: str, file: Path, count: int) -> Array:
         """Vertices (N, 3) of a mesh file."""
         kind = file.suffix.lower().lstrip(".")
         if kind not in ("ply", "obj"):
@@ -282,12 +284,12 @@ class _Tracked:
         return at
 
 
-def _rows(values: Any, dtype: Any = np.float64) -> NDArray[Any]:
+def _rows(values: dr.ArrayBase, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """(N, 3) what a parameter is now: a copy, since its memory is written to at each time."""
     return np.reshape(values.numpy(), (-1, 3)).astype(dtype)
 
 
-def _is_textured(shape: Any) -> bool:
+def _is_textured(shape: mi.Shape) -> bool:
     """Whether colours are painted on a shape, by an image or at its vertices."""
     bsdf = shape.bsdf()
     images = bsdf is not None and any(key.endswith(".data") for key in mi.traverse(bsdf).properties)
@@ -312,7 +314,7 @@ def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     return unit(sums, [0.0, 0.0, 1.0])
 
 
-def _like(old: Any, value: Array) -> Any:
+def _like(old: Old, value: Array) -> Old:
     """A value in the type that a parameter has."""
     if isinstance(value, np.ndarray) and value.shape == (4, 4):
         return type(old)(value.tolist())

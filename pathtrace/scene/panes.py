@@ -27,7 +27,7 @@ _STEPS = 1e6
 _COLOURS = ("specular_reflectance", "specular_transmittance")
 
 
-def with_thin_glass(scene: Any) -> int:
+def with_thin_glass(scene: mi.Scene) -> int:
     """Makes the panes of a Mitsuba scene pass light straight on, in place; returns how many shapes are panes.
 
     A shape is one if all its connected parts are thin slabs with parallel faces, or flat sheets, of clear
@@ -41,16 +41,16 @@ def with_thin_glass(scene: Any) -> int:
     return len(panes)
 
 
-def pane_shapes(scene: Any) -> list[Any]:
+def pane_shapes(scene: mi.Scene) -> list[Any]:
     """The shapes of a Mitsuba scene that are panes of glass, as `with_thin_glass` understands them."""
     return [shape for shape in seen_shapes(scene) if _is_thin(shape) or _can_be_thin(shape)]
 
 
-def _is_thin(shape: Any) -> bool:
+def _is_thin(shape: mi.Shape) -> bool:
     return bool(shape.bsdf().class_name() == "ThinDielectric")
 
 
-def _can_be_thin(shape: Any) -> bool:
+def _can_be_thin(shape: mi.Shape) -> bool:
     if shape.bsdf().class_name() != "SmoothDielectric" or shape.is_medium_transition():
         return False
     faces = pane_faces(triangles_of(shape))
@@ -108,7 +108,7 @@ def _part_faces(triangles: Array) -> int:
     return 2 if thickness <= _THIN * smaller and outer.all() and whole else 0
 
 
-def _thin(glass: Any, faces: int) -> Any:
+def _thin(glass: mi.BSDF, faces: int) -> mi.BSDF | None:
     """A `thindielectric` that stands for one of the faces of a pane; None if its colour is a texture."""
     parameters = mi.traverse(glass)
     given = {name for name in _COLOURS if any(key.startswith(name) for key in parameters.keys())}  # noqa: SIM118

@@ -16,17 +16,11 @@ import numpy as np
 from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
-from pathtrace.scene.instances import InstancedScene
-from pathtrace.scene.loading import (
-    Source,
-    camera_of_sensor,
-    in_good_coordinates,
-    load_whole_parts,
-    perspective_sensor,
-)
+from pathtrace.scene.instances import AnyScene, InstancedScene
+from pathtrace.scene.loading import Source, in_good_coordinates, load_whole_parts
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
-from pathtrace.scene.optics import Optics
+from pathtrace.scene.optics import Optics, camera_of_sensor, perspective_sensor
 from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.scene_xml import (
     SceneDescription,
@@ -88,7 +82,7 @@ def files_of_scene(source: str | Path) -> list[Path]:
     return [*referenced_files(path), *([motion] if motion.is_file() else [])]
 
 
-def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
+def with_ordered_shapes(scene: mi.Scene) -> tuple[Any, dict[str, str]]:
     """The same Mitsuba scene with its shapes sorted by bounding box and number of primitives.
 
     Also returns the new ids of its shapes, and of lights that are not shapes, by their old ones.
@@ -110,7 +104,7 @@ def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
     return mi.load_dict({"type": "scene", **parts}, optimize=False), names
 
 
-def _sort_key(shape: Any) -> tuple[float, ...]:
+def _sort_key(shape: mi.Shape) -> tuple[float, ...]:
     """Bounding box (minimum, maximum) and number of primitives of a shape."""
     box = shape.bbox()
     return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
@@ -170,16 +164,16 @@ class Scene:
     _surfaces: list[Surfaces] = field(default_factory=list, repr=False, compare=False)
 
     @property
-    def traced(self) -> Any:
+    def traced(self) -> AnyScene:
         """What kernels trace rays through: the Mitsuba scene, or what stands in for it."""
         return self.mitsuba if self.instanced is None else self.instanced
 
     def surfaces(self) -> Surfaces:
         """Its surfaces as they are now."""
         if self.moving is not None:
-            return Surfaces(self)
+            return Surfaces(self.traced)
         if not self._surfaces:
-            self._surfaces.append(Surfaces(self))
+            self._surfaces.append(Surfaces(self.traced))
         return self._surfaces[0]
 
     def at_depth(self, depth: int) -> Scene:
@@ -315,7 +309,7 @@ def _described(
     return content, name, description, motion
 
 
-def _require_panes(loaded: Any, optics: Optics, source: str) -> None:
+def _require_panes(loaded: mi.Scene, optics: Optics, source: str) -> None:
     """Makes the panes of a Mitsuba scene thin glass; UserError if it has none, or media."""
     if optics.has_media:
         raise UserError(f"{source}: thin glass: not where there are participating media; leave it out")
@@ -323,7 +317,7 @@ def _require_panes(loaded: Any, optics: Optics, source: str) -> None:
         raise UserError(f"{source}: thin glass: the scene has no panes of glass; leave it out")
 
 
-def _left_out(loaded: Any, sensor: Any, wanted: str | None, optics: Optics) -> Iterator[str]:
+def _left_out(loaded: mi.Scene, sensor: mi.Sensor, wanted: str | None, optics: Optics) -> Iterator[str]:
     """What Mitsuba itself would show of a scene otherwise."""
     if len(loaded.sensors()) > 1 and wanted is None:
         yield f"{len(loaded.sensors())} cameras; {sensor.id()}, the first perspective one, is used"

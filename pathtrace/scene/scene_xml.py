@@ -223,7 +223,7 @@ def dictionary_fingerprint(scene: dict[str, Any]) -> str:
     return digest.hexdigest()
 
 
-def _add_held(digest: hashlib._Hash, value: Any) -> None:
+def _add_held(digest: hashlib._Hash, value: object) -> None:
     """Adds what the printed form of a value does not show."""
     if isinstance(value, dict):
         for key, part in value.items():

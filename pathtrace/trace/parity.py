@@ -15,7 +15,8 @@ from scipy.ndimage import maximum_filter
 
 from compose.base.errors import UserError, one_line
 from compose.image.colour import Image
-from pathtrace.scene.loading import Source, camera_of_sensor, load_mitsuba, perspective_sensor
+from pathtrace.scene.loading import Source, load_mitsuba
+from pathtrace.scene.optics import camera_of_sensor, perspective_sensor
 from pathtrace.scene.scene import Scene, xml_of
 from pathtrace.scene.scene_xml import read_description
 from pathtrace.trace.film import frame_positions
@@ -91,7 +92,7 @@ def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None
     return replace(compared(np.stack(theirs), np.stack(ours)), causes=tuple(causes), by=by)
 
 
-def _causes(integrator: Any, scene: Scene) -> Iterator[str]:
+def _causes(integrator: mi.Integrator, scene: Scene) -> Iterator[str]:
     """What of a scene's own integrator is not as paths here are."""
     if integrator.class_name() not in _PATHS:
         yield f"its integrator is Mitsuba's {integrator.class_name()}, which shows other light than paths"
@@ -120,7 +121,7 @@ def _differ(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
     return (np.abs(means[0] - means[1]) > bound).any(axis=-1)
 
 
-def _shrink(sensor: Any) -> None:
+def _shrink(sensor: mi.Sensor) -> None:
     """Gives a sensor's film, and its crop window, about _SIDE pixels along the window's longer side."""
     film = mi.traverse(sensor)
     names = [f"film.{name}" for name in ("size", "crop_offset", "crop_size")]
@@ -131,7 +132,7 @@ def _shrink(sensor: Any) -> None:
     film.update()
 
 
-def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> Any:
+def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> mi.Scene:
     """The Mitsuba scene of a source, with its own integrator or with none; that of dictionaries stays."""
     if isinstance(source, dict):
         return load_mitsuba(Source("dictionary", source))
@@ -139,7 +140,7 @@ def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> Any
     return load_mitsuba(Source(file.name, read_description(file, text, with_integrator).text, file.parent))
 
 
-def _rendered(scene: Any, sensor: Any, integrator: Any, seed: int) -> Image:
+def _rendered(scene: mi.Scene, sensor: mi.Sensor, integrator: mi.Integrator | None, seed: int) -> Image:
     image = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=_SPP, seed=seed))
     colours: Image = image[..., :3] if image.shape[-1] >= 3 else np.repeat(image[..., :1], 3, axis=-1)
     return colours

@@ -16,8 +16,7 @@ from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import LONGEST, DepthBins, PathSettings, path_radiance
-from pathtrace.trace.film import opaque_camera, ray_through
-from pathtrace.trace.sampling import Sequences, sobol_tables
+from pathtrace.trace.film import Sequences, opaque_camera, ray_through, sobol_tables
 
 # Path depth without a bound.
 UNBOUNDED = -1

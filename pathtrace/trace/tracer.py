@@ -18,10 +18,20 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
-from pathtrace.scene.instances import registered
+from pathtrace.scene.instances import AnyScene, FrozenWithScenes, registered
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import FilmPositions, clipped, opaque_camera, ray_through
+from pathtrace.trace.film import (
+    Batch,
+    FilmPositions,
+    SampleCounts,
+    Sequences,
+    clipped,
+    joined_channels,
+    mixed_seeds,
+    opaque_camera,
+    ray_through,
+)
 from pathtrace.trace.first_hit import (
     AuxiliaryFeatures,
     FirstHits,
@@ -30,10 +40,8 @@ from pathtrace.trace.first_hit import (
     auxiliary_hits,
     first_hits,
     has_clear_surfaces,
+    veil,
 )
-from pathtrace.trace.frozen import FrozenWithScenes
-from pathtrace.trace.media import veil
-from pathtrace.trace.sampling import Batch, SampleCounts, Sequences, joined_channels, mixed_seeds
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
 # traced in several passes, and positions in several parts where they alone are more than that.
@@ -153,7 +161,7 @@ class Tracer:
         positions: FilmPositions,
         spp: SampleCounts = 1,
         seed: int = 0,
-        offset: Any = 0,
+        offset: int | NDArray[np.integer] | mi.UInt32 = 0,
         pattern: int | None = None,
         features: bool = False,
     ) -> Traced:
@@ -194,7 +202,12 @@ class Tracer:
         return traced, traced.features.averaged(more, (wanted - spp) / wanted)
 
     def auxiliary(
-        self, camera: Camera, positions: FilmPositions, spp: int, pattern: int, offset: Any = 0
+        self,
+        camera: Camera,
+        positions: FilmPositions,
+        spp: int,
+        pattern: int,
+        offset: int | NDArray[np.integer] | mi.UInt32 = 0,
     ) -> AuxiliaryFeatures:
         """Auxiliary features at each position.
 
@@ -297,7 +310,14 @@ class Tracer:
         return sums, [dr.gather(mi.Float, channel, lanes.first) for channel in first]
 
     def _radiance(
-        self, features: bool, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any
+        self,
+        features: bool,
+        scene: AnyScene,
+        state: mi.UInt32,
+        x: mi.Float,
+        y: mi.Float,
+        active: mi.Bool,
+        *camera: mi.Float,
     ) -> list[Any]:
         """Radiance of each lane, and what it sees first; frozen."""
         sampler = mi.load_dict({"type": "independent"})
@@ -310,14 +330,14 @@ class Tracer:
     def _cached_radiance(
         self,
         features: bool,
-        scene: Any,
-        state: Any,
+        scene: AnyScene,
+        state: mi.UInt32,
         cache: CacheArrays,
         sequences: Sequences,
-        x: Any,
-        y: Any,
-        active: Any,
-        *camera: Any,
+        x: mi.Float,
+        y: mi.Float,
+        active: mi.Bool,
+        *camera: mi.Float,
     ) -> list[Any]:
         """Radiance of each lane by paths that end in the cache, and what it sees first; frozen."""
         sampler = mi.load_dict({"type": "independent"})
@@ -328,7 +348,9 @@ class Tracer:
         paths = scene, sampler, ray, seen.surface, shown, self._settings, sequences, cache
         return self._evaluated(scene, path_radiance(*paths), sampler, seen if features else None, ray, active)
 
-    def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
+    def _auxiliary(
+        self, scene: AnyScene, x: mi.Float, y: mi.Float, active: mi.Bool, *camera: mi.Float
+    ) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
         ray, _ = self._rays(camera, x, y)
         seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
@@ -336,7 +358,7 @@ class Tracer:
         dr.eval(features)
         return features
 
-    def _rays(self, camera: tuple[Any, ...], x: Any, y: Any) -> tuple[Any, Any]:
+    def _rays(self, camera: tuple[Any, ...], x: mi.Float, y: mi.Float) -> tuple[Any, Any]:
         """Rays through film coordinates between the clipping planes, and how far from the eye they start."""
         ray = ray_through(camera, x, y)
         if self.scene.optics.clips is None:
@@ -344,7 +366,13 @@ class Tracer:
         return clipped(ray, camera, self.scene.optics.clips)
 
     def _evaluated(
-        self, scene: Any, radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any
+        self,
+        scene: AnyScene,
+        radiance: mi.Color3f,
+        sampler: mi.Sampler,
+        seen: FirstHits | None,
+        ray: mi.Ray3f,
+        active: mi.Bool,
     ) -> list[Any]:
         """Three channels of radiance and, of what was seen, those of auxiliary features; computed."""
         # A sample that is not finite counts as black: it would spoil its pixel's mean.
@@ -358,7 +386,7 @@ class Tracer:
         dr.eval(channels)
         return channels
 
-    def _seen(self, scene: Any, hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
+    def _seen(self, scene: AnyScene, hits: FirstHits, ray: mi.Ray3f, active: mi.Bool) -> AuxiliaryFeatures:
         """Auxiliary features; albedo and normal that are not finite, as of damaged textures, count as 0."""
         found = auxiliary_features(hits, ray, active, self._movers)
         if self.scene.optics.has_media:
@@ -370,7 +398,7 @@ class Tracer:
         return replace(found, albedo=albedo, normal=normal)
 
 
-def _added(sums: list[Any], channels: list[Any], *others: Any) -> list[Any]:
+def _added(sums: list[Any], channels: list[Any], *others: object) -> list[Any]:
     """Channels added to sums, if there are any, in one kernel with others."""
     if not sums:
         return channels

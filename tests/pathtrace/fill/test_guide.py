@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.fill.guiding import Guide, even_squares
+from pathtrace.fill.filling import Guide, even_squares
 from tests import small
 
 REGIONS, RAYS = 40, 200

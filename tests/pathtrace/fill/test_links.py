@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
+from pathtrace.fill.filling import cells_hit, links_of
 from pathtrace.fill.gather import Seen
-from pathtrace.fill.guiding import cells_hit, links_of
 from tests import small
 
 UP = np.float32([0, 1, 0])

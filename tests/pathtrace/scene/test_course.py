@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pathtrace.scene.courses import course_from_json, course_of_poses
-from pathtrace.scene.tracks import Keyframe, RigidTrack
+from pathtrace.scene.motion_file import Keyframe, RigidTrack
 
 TRACK = RigidTrack((Keyframe(0.0), Keyframe(1.0, (1.0, 2.0, 0.0), 300.0)), (0.0, 0.6, 0.8), (0.5, 0.0, 1.0))
 TIMES = np.linspace(0, 1, 9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pathtrace.scene.difficulties import light_difficulties
+from pathtrace.scene.optics import light_difficulties
 from pathtrace.scene.scene import load_scene
 from tests import small
 from tests.pathtrace.scene.test_panes import scene, slab

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.scene.tracks import Formula
+from pathtrace.scene.motion_file import Formula
 
 REST = np.random.default_rng(3).normal(size=(50, 3))
 

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.motion_file import read_motion
-from pathtrace.scene.tracks import Formula, MeshTrack, RigidTrack
+from pathtrace.scene.motion_file import Formula, MeshTrack, RigidTrack, read_motion
 
 RIGID = {"axis": [0, 0, 2], "about": [1, 2, 3], "keyframes": [{"t": 0}, {"t": 1, "degrees": 90}]}
 WHOLE: dict[str, Any] = {

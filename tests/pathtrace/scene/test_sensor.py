@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.loading import camera_of_sensor, perspective_sensor
+from pathtrace.scene.optics import camera_of_sensor, perspective_sensor
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

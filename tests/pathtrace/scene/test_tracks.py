@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pathtrace.scene.tracks import Brightness, Keyframe, LightTrack, RigidTrack
+from pathtrace.scene.motion_file import Brightness, Keyframe, LightTrack, RigidTrack
 
 
 def test_a_rigid_track_turns_about_its_axis_and_shifts():

@@ -13,8 +13,14 @@ from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import frame_positions, interleaved, opaque_camera, ray_through
-from pathtrace.trace.sampling import Sequences, sobol_tables
+from pathtrace.trace.film import (
+    Sequences,
+    frame_positions,
+    interleaved,
+    opaque_camera,
+    ray_through,
+    sobol_tables,
+)
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

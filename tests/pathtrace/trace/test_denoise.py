@@ -7,8 +7,8 @@ import mitsuba_oidn
 import numpy as np
 import pytest
 
-import pathtrace.trace.denoise as module
-from pathtrace.trace.denoise import denoise, denoise_coarsely
+import pathtrace.trace.traced_images as module
+from pathtrace.trace.traced_images import denoise, denoise_coarsely
 from tests import small
 from tests.extremes import extreme
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.trace.sampling import fractional_counts
+from pathtrace.trace.film import fractional_counts
 
 
 def test_whole_numbers_need_no_array():

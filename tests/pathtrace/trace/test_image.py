@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.trace.denoise import denoise
 from pathtrace.trace.film import box_positions, frame_positions
-from pathtrace.trace.traced_images import auxiliary_images, radiance_image, trace_image
+from pathtrace.trace.traced_images import auxiliary_images, denoise, radiance_image, trace_image
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from compose.base.traced_samples import Counts
-from pathtrace.trace.film import FilmPositions, box_positions
-from pathtrace.trace.sampling import Lanes
+from pathtrace.trace.film import FilmPositions, Lanes, box_positions
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

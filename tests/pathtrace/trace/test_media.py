@@ -15,8 +15,7 @@ from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.optics import Optics
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import box_positions, clipped, opaque_camera, ray_through
-from pathtrace.trace.first_hit import AuxiliaryFeatures, Unseen, first_hits
-from pathtrace.trace.media import Veil, veil
+from pathtrace.trace.first_hit import AuxiliaryFeatures, Unseen, Veil, first_hits, veil
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pathtrace.trace.sampling import FILM, LIGHT, SCATTERING, Sequences, sobol_tables
+from pathtrace.trace.film import FILM, LIGHT, SCATTERING, Sequences, sobol_tables
 
 pytestmark = pytest.mark.usefixtures("backend")
 
