@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -77,6 +77,9 @@ class Grid:
         dr.make_opaque(arrays)
         return arrays
 
+
+# Of NumPy or Dr.Jit.
+_Integers = TypeVar("_Integers")
 
 # Whether nothing lies between points, given by their indices (M,) each, and the side of their cell.
 Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool_]]
@@ -158,7 +161,7 @@ def _names(
     axis = np.abs(normal).argmax(axis=1)
     orientation = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
     kind = (orientation + _ORIENTATIONS * level).astype(np.uint32)
-    first, second = (_mixed(x, y, z, kind, factors, np.uint32) for factors in _FACTORS)
+    first, second = (_mixed((x, y, z, kind), factors, np.uint32) for factors in _FACTORS)
     # 0 marks an empty place in a table.
     return first, second | np.uint32(1)
 
@@ -172,19 +175,17 @@ def cell_names_jit(position: mi.Point3f, normal: mi.Normal3f, level: int) -> tup
     axis = dr.select((size.x >= size.y) & (size.x >= size.z), mi.UInt32(0), last)
     along = dr.select(axis == 0, normal.x, dr.select(axis == 1, normal.y, normal.z))
     kind = 2 * axis + dr.select(along > 0, mi.UInt32(1), mi.UInt32(0)) + _ORIENTATIONS * level
-    first, second = (_mixed(x, y, z, kind, factors, mi.UInt32) for factors in _FACTORS)
+    first, second = (_mixed((x, y, z, kind), factors, mi.UInt32) for factors in _FACTORS)
     return first, second | 1
 
 
-def _mixed(
-    x: Integers, y: Integers, z: Integers, kind: Integers, factors: tuple[int, ...], integer: type[Integers]
-) -> Integers:
+def _mixed(parts: Sequence[Any], factors: tuple[int, ...], integer: Callable[[int], _Integers]) -> _Integers:
     """32 bits in which neighbouring cells have nothing in common.
 
     The sum of products gives cells near each other different numbers, which an exclusive or would not; the
     rest is the finalizer of MurmurHash3 (Appleby).
     """
-    bits = sum(part * integer(factor) for part, factor in zip((x, y, z, kind), factors, strict=True))
+    bits = sum(part * integer(factor) for part, factor in zip(parts, factors, strict=True))
     bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)
     bits = (bits ^ (bits >> integer(13))) * integer(0xC2B2AE35)
     return bits ^ (bits >> integer(16))

@@ -149,9 +149,9 @@ def _chances(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     return _EVEN / lights + (1 - _EVEN) * learnt
 
 
-def light_numbers(scene: mi.Scene) -> NDArray[np.uint32]:
+def light_numbers(scene: AnyScene) -> NDArray[np.uint32]:
     """Index of each light in the scene, by the number by which kernels know it."""
-    registered = dr.reinterpret_array(mi.UInt32, scene.emitters_dr()).numpy()
+    registered = mi.UInt32(dr.reinterpret_array(mi.UInt32, scene.emitters_dr())).numpy()
     numbers = np.zeros(int(registered.max()) + 1, dtype=np.uint32)
     numbers[registered] = np.arange(len(registered))
     return numbers

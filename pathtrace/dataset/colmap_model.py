@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,7 @@ _NAMES = [
     ("EQUIRECTANGULAR", "w h"),
 ]
 # Parameters of each model by its name; in binary files, models have their place in this list.
+_Content = TypeVar("_Content")
 MODELS = {name: tuple(parameters.split()) for name, parameters in _NAMES}
 
 
@@ -112,15 +113,16 @@ def read_model(folder: Path) -> ColmapModel:
     kind = _kind(folder)
     if kind is None:
         raise UserError(f"{folder}: has no cameras and images of a COLMAP model (.bin or .txt)")
-    readers = (_cameras, _images, _points) if kind == _BINARY else (_text_cameras, _text_images, _text_points)
-    names = [folder / f"{name}{kind}" for name in (_CAMERAS, _IMAGES, _POINTS)]
-    cameras, images = (_read(path, reader) for path, reader in zip(names[:2], readers[:2], strict=True))
-    if not names[2].is_file():
+    is_binary = kind == _BINARY
+    cameras = _read(folder / f"{_CAMERAS}{kind}", _cameras if is_binary else _text_cameras)
+    images = _read(folder / f"{_IMAGES}{kind}", _images if is_binary else _text_images)
+    points = folder / f"{_POINTS}{kind}"
+    if not points.is_file():
         return ColmapModel(cameras, images)
-    return ColmapModel(cameras, images, _read(names[2], readers[2]))
+    return ColmapModel(cameras, images, _read(points, _points if is_binary else _text_points))
 
 
-def _read(path: Path, reader: Callable[[bytes], Any]) -> Content:
+def _read(path: Path, reader: Callable[[bytes], _Content]) -> _Content:
     """What a reader makes of a file."""
     try:
         require_size_below(path, _MOST_BYTES)

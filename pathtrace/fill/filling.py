@@ -309,6 +309,7 @@ def _joined(
         return np.ones(0, dtype=bool)
     raised = points.position + np.float32(_HEIGHT * side) * points.normal
     start, way = raised[one], raised[other] - raised[one]
-    ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(way.T), 1.0, 0.0, [])
+    # By its stub, no length may be a number.
+    ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(way.T), 1.0, 0.0, [])  # type: ignore[call-overload]
     blocked: NDArray[np.bool_] = scene.ray_test(ray, dr.squared_norm(ray.d) > 0).numpy()
     return ~blocked

@@ -174,7 +174,7 @@ class Resampling:
             shown = self._show(self._scene, *self._from(rays), *self._points, *self._rays)
         return Part(points, rays, sampled, shown, self._numbers)
 
-    def _from(self, part: slice) -> tuple[Any, Any]:
+    def _from(self, part: slice) -> tuple[mi.UInt32, ...]:
         """Seed and first index of a part, for kernels."""
         return tuple(dr.opaque(mi.UInt32, n) for n in (int(self._random.integers(1 << 32)), part.start))
 

@@ -5,10 +5,10 @@ Specification, 3.7.2 (meshes, morph targets) and 3.7.3 (skins).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -20,6 +20,8 @@ from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.document import Document, NotFiniteError, read_array
 
 Faces = NDArray[np.int64]
+# Reads an attribute of an owner with a number of columns, a row for each vertex.
+_Reader: TypeAlias = Callable[[dict[str, Any], str, int], Array]
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
@@ -187,7 +189,7 @@ def _skin(
     document: Document,
     node: int,
     attributes: dict[str, Any],
-    of_vertices: Callable[[dict[str, Any], str, int], Array],
+    of_vertices: _Reader,
 ) -> Skin | None:
     item = document.section("nodes")[node]
     if "skin" not in item or "JOINTS_0" not in attributes:
@@ -229,8 +231,13 @@ def write_mesh(
     vectors; uvs (V, 2) have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear,
     Mitsuba's `vertex_color`.
     """
-    has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
-    mesh = mi.Mesh(file.stem, len(positions), len(faces), **has)
+    counts = len(positions), len(faces)
+    mesh = mi.Mesh(
+        file.stem,
+        *counts,
+        has_vertex_normals=normals is not None,
+        has_vertex_texcoords=uvs is not None,
+    )
     parameters = mi.traverse(mesh)
     parameters["faces"] = faces.astype(np.uint32).ravel()
     values = {"vertex_positions": positions, "vertex_normals": normals, "vertex_texcoords": uvs}
@@ -239,5 +246,5 @@ def write_mesh(
             parameters[name] = content.astype(np.float32).ravel()
     parameters.update()
     if colours is not None:
-        mesh.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
+        mesh.add_attribute("vertex_color", 3, colours.ravel().tolist())
     write_whole(file, lambda part: mesh.write_ply(str(part)))

@@ -83,7 +83,7 @@ def _select(choice: str) -> Backend:
     import mitsuba as mi
 
     # Plugins are native code: those in a folder `plugins` of the working folder are not Mitsuba's.
-    mi.file_resolver().prepend(str(Path(mi.__file__).parent))
+    mi.file_resolver().prepend(str(Path(mi.__file__).parent))  # type: ignore[operator]  # a function
     # More talkative levels deadlock with a second thread in Dr.Jit 1.5.
     dr.set_log_level(dr.LogLevel.Warn)
     # Mitsuba reads EXR files in Dr.Jit's threads; with one, which is the caller, it would wait for ever.

@@ -6,8 +6,8 @@ a thousand. Mitsuba 3.10 looks up where an instance is instead, and so do kernel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -27,20 +27,21 @@ _REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "
 # More objects than there are, and what stands for one that there is not.
 _NO_NUMBER = 1 << 30
 _MISSING = object()
+_Result = TypeVar("_Result")
 
 
 def _parts(whole: mi.Object) -> list[mi.Shape]:
-    """The objects, shapes where it matters, that a Mitsuba object consists of, in their order."""
-    found: list[mi.Shape] = []
+    """The parts of a Mitsuba scene or group in their order; shapes, as far as they are asked for."""
+    found: list[mi.Object] = []
 
     # Mitsuba has no classes before its variant is chosen.
     class Callback(mi.TraversalCallback):  # type: ignore[misc]
-        def put(self, name: str, value: object, *flags: object) -> None:
+        def put(self, name: str, value: mi.Object, *flags: object) -> None:
             if isinstance(value, mi.Object):
                 found.append(value)
 
     whole.traverse(Callback())
-    parts = found.copy()
+    parts: list[Any] = found.copy()
     # A class waits for the garbage collector, which must not be what frees a scene.
     found.clear()
     return parts
@@ -173,7 +174,9 @@ class InstancedScene:
         ray_flags = mi.RayFlags.All if ray_flags is None else ray_flags
         found = self.whole.ray_intersect_preliminary(ray, coherent, active)
         active = mi.Bool(active) & found.is_valid()
-        shape, instance = (dr.reinterpret_array(mi.UInt32, each) for each in (found.shape, found.instance))
+        shape, instance = (
+            mi.UInt32(dr.reinterpret_array(mi.UInt32, x)) for x in (found.shape, found.instance)
+        )
         place, row, cases, shapes = (self.arrays[name] for name in ("place", "row", "cases", "shape"))
         start = dr.select(instance == 0, shape, instance)
         at = dr.gather(mi.UInt32, place, start, active)
@@ -204,7 +207,7 @@ class InstancedScene:
 
 def registered(shape: mi.Shape) -> int:
     """The number by which kernels know a shape."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+    return int(mi.UInt32(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)))[0])
 
 
 def _interaction(shape: mi.Shape, flags: int) -> Callable[..., mi.SurfaceInteraction3f]:
@@ -244,18 +247,18 @@ def _place(hit: mi.SurfaceInteraction3f, to_world: list[mi.Vector4f], to_object:
         setattr(hit, name, mi.Vector3f(change - hit.sh_frame.n * dr.dot(hit.sh_frame.n, change)))
 
 
-class FrozenWithScenes(Frozen):
+class FrozenWithScenes(Frozen, Generic[_Result]):
     """A frozen function that takes scenes, as arguments of their own, in nothing else.
 
     A scene is walked through at each call, each shape with all that it refers to: 2 ms for 38 shapes. So its
     arrays pass in its place, and are only looked for again if one of them has been replaced.
     """
 
-    def __init__(self, function: Callable[..., Any]):
+    def __init__(self, function: Callable[..., _Result]):
         super().__init__(function)
         self._scenes: dict[int, _Scene] = {}
 
-    def __call__(self, *arguments: object) -> Any:
+    def __call__(self, *arguments: object) -> _Result:
         with collector_paused():
             scenes = mi.Scene, InstancedScene
             given = tuple(self._known(each) if type(each) in scenes else each for each in arguments)
@@ -304,7 +307,7 @@ class _Scene(Passed):
         if of_all == self._held:
             return False
         # What is held keeps its number: none that is freed meanwhile can be taken for it.
-        held = dr.detail.update_indices([mi.Float(0)] * len(of_all), of_all)
+        held: Any = dr.detail.update_indices([mi.Float(0)] * len(of_all), of_all)
         dr.eval(held)
         # Constants are compiled in; one string is compared sooner than their numbers.
         constants = repr([array.index for array in held if array.state != dr.VarState.Evaluated])
@@ -328,9 +331,10 @@ def _registered_objects() -> list[mi.Object]:
     return found
 
 
-def _of_number(kind: type[dr.ArrayBase], number: int) -> object:
+def _of_number(kind: type[dr.ArrayBase], number: int) -> mi.Object | object | None:
     """The registered object of a kind with a number; None if it was freed, _MISSING beyond the last one."""
     try:
-        return dr.reinterpret_array(kind, mi.UInt32(number))[0]
+        found: Any = dr.reinterpret_array(kind, mi.UInt32(number))
+        return found[0]
     except RuntimeError:
         return _MISSING

@@ -65,7 +65,7 @@ def _degenerate_meshes(state: mi.parser.ParserState) -> dict[int, str]:
         plugin, is_shape = node.props.plugin_name(), node.type == mi.ObjectType.Shape
         if is_shape and plugin in _FILES and "filename" in node.props:
             name = str(node.props["filename"])
-            file = Path(str(mi.file_resolver().resolve(name)))
+            file = Path(str(mi.file_resolver().resolve(name)))  # type: ignore[operator]  # a function
             if file.is_file() and (wrong := _wrong(node.props, file)):
                 found[number] = f"the mesh {name} {wrong}"
     return found
@@ -181,11 +181,8 @@ def _relocate_emitter(properties: mi.Properties, place: Place) -> None:
 
 
 def _scale_intensity(properties: mi.Properties, factor: float) -> None:
-    if "intensity" not in properties:
-        properties["intensity"] = factor
-        return
-    intensity = properties["intensity"]
-    kind = properties.type("intensity")
+    intensity: Any = properties.get("intensity", 1.0)
+    kind = properties.type("intensity") if "intensity" in properties else mi.Properties.Type.Float
     if kind == mi.Properties.Type.Float:
         properties["intensity"] = float(intensity) * factor
     elif kind == mi.Properties.Type.Color:
@@ -201,9 +198,9 @@ def _relocate_to_world(properties: mi.Properties, place: Place) -> None:
     if properties.plugin_name() in _CAMERAS:
         # A camera has no scale.
         matrix[:3, :3] *= place.unit
-        for clip in ("near_clip", "far_clip"):
-            if clip in properties:
-                properties[clip] = float(properties[clip]) / place.unit
+        for clip in {"near_clip", "far_clip"} & set(properties.keys()):
+            depth: Any = properties[clip]
+            properties[clip] = float(depth) / place.unit
     properties["to_world"] = mi.ScalarTransform4d(matrix)
 
 
@@ -211,7 +208,8 @@ def _to_world(properties: mi.Properties) -> Array:
     """(4, 4) float64; a copy."""
     if "to_world" not in properties:
         return np.eye(4)
-    return np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    transform: Any = properties["to_world"]
+    return np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,7 @@ class Source:
 
 
 def _load_in_place(source: Source, unit: float, apart: Collection[str]) -> tuple[mi.Scene, Place, float]:
-    """A Mitsuba scene whose origin is its first camera, in a unit of length; its place, and its `_coarsest_step`.
+    """A scene whose origin is its first camera, in a unit of length, with its place and `_coarsest_step`.
 
     UserError if Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
     """
@@ -365,7 +363,7 @@ def _in_folder(source: Source, load: Callable[[], _Found]) -> _Found:
     """What a function finds in the folder of a scene, to which its files are relative."""
     if source.folder is None:
         return load()
-    resolver = mi.file_resolver()
+    resolver = mi.file_resolver()  # type: ignore[operator]  # a function
     before = [resolver[i] for i in range(len(resolver))]
     resolver.prepend(str(source.folder))
     # Before the scene's folder, from which plugins, which are native code, would be loaded as well.

@@ -261,7 +261,9 @@ def read_motion(file: Path) -> SceneMotion:
     with reading(file):
         document = read_json(file, _MOST_BYTES)
         digest = hashlib.sha256(file.read_bytes())
-    parts = [document.get(name, {}) if isinstance(document, dict) else None for name in ("shapes", "lights")]
+    parts: list[Any] = [
+        document.get(name, {}) if isinstance(document, dict) else None for name in ("shapes", "lights")
+    ]
     if not all(isinstance(part, dict) for part in parts):
         raise UserError(f"{file}: is no motion; must be JSON with tracks by name under shapes or lights")
     if not any(parts):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import product
+from pathlib import Path
 from typing import Any, TypeAlias
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.traced_samples import UNSTEADY, Moment
@@ -139,8 +141,14 @@ class MovingScene:
         if key.endswith((_POSITIONS, _NORMALS)):
             torch.from_dlpack(self._parameters[key])[:] = torch.from_numpy(value.astype(np.float32))
             self._parameters.set_dirty(key)
+            return
+        kind, numbers = type(self._parameters[key]), np.ravel(value)
+        if value.shape == (4, 4):
+            self._parameters[key] = kind(value.tolist())
+        elif len(numbers) in (1, 3) and kind is not mi.Float:
+            self._parameters[key] = kind(*numbers.tolist())
         else:
-            self._parameters[key] = _like(self._parameters[key], value)
+            self._parameters[key] = kind(np.ascontiguousarray(value, dtype=np.float32))
 
 
 class _Tracked:
@@ -312,12 +320,3 @@ def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     for corner in range(3):
         np.add.at(sums, faces[:, corner], of_faces)
     return unit(sums, [0.0, 0.0, 1.0])
-
-
-def _like(old: Old, value: Array) -> Old:
-    """A value in the type that a parameter has."""
-    if isinstance(value, np.ndarray) and value.shape == (4, 4):
-        return type(old)(value.tolist())
-    if len(np.ravel(value)) in (1, 3) and not isinstance(old, mi.Float):
-        return type(old)(*np.ravel(value).tolist())
-    return type(old)(np.ascontiguousarray(value, dtype=np.float32))

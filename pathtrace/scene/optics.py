@@ -1,4 +1,4 @@
-"""Cameras of a scene, what they see besides surfaces and their light, and what keeps light from converging."""
+"""Cameras of a scene, what they see besides surfaces and their light, and what keeps that from converging."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def clipping_planes(scene: mi.Scene, sensor: mi.Sensor, camera: Camera) -> tuple
     The near one does if the sensor's own camera sees something in front of it. Mitsuba's default planes count
     as none: scenes of any size are seen whole.
     """
-    near, far = float(sensor.near_clip()), float(sensor.far_clip())
+    near, far = (float(mi.traverse(sensor)[name]) for name in ("near_clip", "far_clip"))
     if near == np.float32(_NEAR_CLIP) and far == np.float32(_FAR_CLIP):
         return None
     box, forward = scene.bbox(), camera.camera_to_world[:3, 2]
@@ -194,7 +194,7 @@ def _focuses(shape: mi.Shape) -> bool:
 
 def _sends_narrow_light(scene: mi.Scene) -> bool:
     """Whether much of the light is that of a sun, or of area lights that are tiny for the scene."""
-    size = float(np.linalg.norm(scene.bbox().extents()))
+    size = float(np.linalg.norm(np.array(scene.bbox().extents())))
     tiny, total = 0.0, 0.0
     for emitter in scene.emitters():
         if "sky" in str(emitter).lower().partition("[")[0]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
 from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
@@ -107,7 +106,7 @@ def with_ordered_shapes(scene: mi.Scene) -> tuple[Any, dict[str, str]]:
 def _sort_key(shape: mi.Shape) -> tuple[float, ...]:
     """Bounding box (minimum, maximum) and number of primitives of a shape."""
     box = shape.bbox()
-    return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
+    return (*box.min, *box.max, shape.primitive_count())
 
 
 # Items of a plan that concern paths.

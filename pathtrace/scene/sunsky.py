@@ -101,17 +101,15 @@ def _register() -> None:
     mi.register_emitter(PLUGIN, BalancedSunSky)
 
 
-def _parts(properties: mi.Properties) -> tuple[Any, Any]:
+def _parts(properties: mi.Properties) -> tuple[mi.Emitter, ...]:
     """Mitsuba's emitters of the sun alone and of the sky alone."""
     shared = {name: properties[name] for name in list(properties.keys()) if name not in _OWN}
     if "to_world" in properties:
-        shared["to_world"] = mi.ScalarTransform4f(properties["to_world"].matrix)
+        to_world: Any = properties["to_world"]
+        shared["to_world"] = mi.ScalarTransform4f(to_world.matrix)
     sun, sky = (float(properties.get(name, 1.0)) for name in ("sun_scale", "sky_scale"))
-    shared["type"] = "sunsky"
-    return (
-        mi.load_dict({**shared, "sun_scale": sun, "sky_scale": 0.0}),
-        mi.load_dict({**shared, "sun_scale": 0.0, "sky_scale": sky}),
-    )
+    scales = {"sun_scale": sun, "sky_scale": 0.0}, {"sun_scale": 0.0, "sky_scale": sky}
+    return tuple(mi.load_dict({**shared, "type": "sunsky", **each}) for each in scales)
 
 
 def _flux(emitter: mi.Emitter) -> float:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -58,9 +58,9 @@ def pixel_positions(indices: mi.UInt32, width: int) -> FilmPositions:
     return positions
 
 
-def box_positions(left: Array, top: Array, width: Array, height: Array) -> FilmPositions:
-    """Film positions of N boxes from (N,) numpy arrays of their corners and sizes in pixels."""
-    return FilmPositions(*(mi.Float(values.astype(np.float32)) for values in (left, top, width, height)))
+def box_positions(*sides: NDArray[np.floating]) -> FilmPositions:
+    """Film positions of N boxes from (N,) numbers in pixels: left and top, width and height."""
+    return FilmPositions(*(mi.Float(values.astype(np.float32)) for values in sides))
 
 
 def frame_positions(camera: Camera) -> FilmPositions:
@@ -70,8 +70,8 @@ def frame_positions(camera: Camera) -> FilmPositions:
 
 def interleaved(channels: list[Any]) -> NDArray[np.float32]:
     """(N, 3) array from three (N,) Dr.Jit floats, in one kernel, which is quicker than numpy."""
-    values: NDArray[np.float32] = dr.ravel(mi.Point3f(*channels)).numpy()
-    return values.reshape(-1, 3)
+    values: Any = dr.ravel(mi.Point3f(*channels))
+    return values.numpy().reshape(-1, 3)
 
 
 def opaque_camera(camera: Camera) -> tuple[Any, ...]:
@@ -125,6 +125,7 @@ _ROUNDS = (4, 8, 8)
 # Lanes are padded to a multiple of this with masked ones: a frozen function is recorded again when the
 # divisibility of its width changes, and masked lanes at the end cost next to nothing.
 _LANE_MULTIPLE = 4096
+_Values = TypeVar("_Values")
 
 
 def sobol_tables() -> list[Any]:
@@ -237,7 +238,7 @@ class Lanes:
         x, y = (start + size * share for start, size, share in zip(corner, sizes, unit, strict=True))
         return x, y
 
-    def _gathered(self, values: Values) -> Values:
+    def _gathered(self, values: _Values) -> _Values:
         """For each lane, the value (one per position) of its position."""
         return dr.gather(type(values), values, self.index, self.active)
 

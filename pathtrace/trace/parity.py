@@ -141,7 +141,9 @@ def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> mi.
 
 
 def _rendered(scene: mi.Scene, sensor: mi.Sensor, integrator: mi.Integrator | None, seed: int) -> Image:
-    image = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=_SPP, seed=seed))
+    # By its stub, it takes no number as a seed, and no None.
+    rendered = mi.render(scene, sensor=sensor, integrator=integrator, spp=_SPP, seed=seed)  # type: ignore[arg-type]
+    image = np.array(rendered)
     colours: Image = image[..., :3] if image.shape[-1] >= 3 else np.repeat(image[..., :1], 3, axis=-1)
     return colours
 

@@ -24,8 +24,7 @@ _ALBEDO_OFFSET = 0.1
 # Images with a smaller peak than this are scaled by a power of two, exactly, before and after.
 _LEAST_PEAK = 2.0**-8
 
-# A NumPy array, or a tensor of Dr.Jit.
-Picture = TypeVar("Picture")
+Picture = TypeVar("Picture", "NDArray[np.float32]", "mi.TensorXf")
 
 
 def denoise(radiance: Picture, albedo: Picture, normal: Picture, quick: bool = False) -> Picture:
@@ -34,14 +33,14 @@ def denoise(radiance: Picture, albedo: Picture, normal: Picture, quick: bool = F
     Radiance is linear and unbounded, its pixels box-filtered and uncorrelated; albedo is clipped to 0..1;
     components of normals are in -1..1. The quicker network is for frames shown in real time.
     """
-    if isinstance(radiance, np.ndarray):
-        # Scaled here, since kernels take the least floats for 0.
-        exponent = _exponent(float(radiance.max(initial=0)))
-        images = np.ldexp(radiance, -exponent) if exponent else radiance, albedo, normal
-        noisy, *guides = (mi.TensorXf(np.ascontiguousarray(of, dtype=np.float32)) for of in images)
-        denoised = np.array(_denoised(noisy, guides[0], guides[1], quick))
-        return np.ldexp(denoised, exponent) if exponent else denoised  # type: ignore[return-value]
-    return _denoised(radiance, albedo, normal, quick)  # type: ignore[no-any-return]
+    if not isinstance(radiance, np.ndarray):
+        return _denoised(radiance, albedo, normal, quick)
+    # Scaled here, since kernels take the least floats for 0.
+    exponent = _exponent(float(radiance.max(initial=0)))
+    images = np.ldexp(radiance, -exponent) if exponent else radiance, albedo, normal
+    noisy, *guides = (mi.TensorXf(np.ascontiguousarray(of, dtype=np.float32)) for of in images)
+    denoised = np.array(_denoised(noisy, guides[0], guides[1], quick))
+    return np.ldexp(denoised, exponent) if exponent else denoised
 
 
 def _denoised(radiance: mi.TensorXf, albedo: mi.TensorXf, normal: mi.TensorXf, quick: bool) -> mi.TensorXf:
@@ -120,7 +119,7 @@ class _Values:
         self.row = pixel // width
         self.column = pixel - self.row * width
 
-    def at(self, row: mi.Int32, column: mi.Int32) -> mi.UInt32:
+    def at(self, row: mi.Int32, column: mi.Int32) -> dr.ArrayBase:
         """Where in the source the values of a row and column are, its border repeated."""
         row, column = dr.clip(row, 0, self._height - 1), dr.clip(column, 0, self._width - 1)
         return dr.uint32_array_t(type(row))((row * self._width + column) * 3 + self._channel)

@@ -232,7 +232,7 @@ class Tracer:
         ray, start = self._rays(opaque_camera(camera), x, y)
         found = first_hits(self.scene.traced, ray, mi.Bool(True), unseen=self._unseen)
         distance = dr.select(found.surface.is_valid(), found.surface.t + start, dr.inf)
-        shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
+        shapes = mi.UInt32(dr.reinterpret_array(mi.UInt32, found.surface.shape))
         # What is seen in curved mirrors, or refracted as in the edge of a pane, moves with the viewer: it is
         # on the glass rather than as far away as the light has come.
         # Mitsuba has the direction in world space where nothing is hit, in that of the surface elsewhere.
