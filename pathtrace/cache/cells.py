@@ -98,11 +98,7 @@ class Cells:
 
     @staticmethod
     def of(points: Points, grid: Grid, joined: Joined) -> Cells:
-        """The cells in which points on the scene's surfaces lie.
-
-        A cell that something divides, a thin wall for example, is left out: its mean would carry light from
-        one side to the other.
-        """
+        """The cells of points on surfaces, but for those that something, such as a thin wall, divides."""
         keys, counts = [], []
         for level, side in enumerate(SIDES):
             key = grid.keys(points, level)
@@ -123,8 +119,7 @@ class Cells:
     def smallest(self, points: Points) -> NDArray[np.int64]:
         """(N,) index of the smallest cell that each point lies in, whether enough is known of it or not.
 
-        Larger cells reach past edges behind which it may be much brighter. That few points are noisy does not
-        matter where very many are averaged.
+        Larger cells reach past edges behind which it may be much brighter.
         """
         smallest = np.full(len(points), -1)
         for cell in reversed(self.indices(points)):
@@ -192,10 +187,9 @@ def _mixed(parts: Sequence[Any], factors: tuple[int, ...], integer: Callable[[in
 
 
 class Table:
-    """Where cells are found by their names, in T places, a power of two; open addressing.
+    """Finds cells, given by their keys (C,), by their names: an open hash table of a power of two places.
 
-    Each has the second name and the index of a cell; a name of 0 stands for none. Cells are given by their
-    keys (C,), as those of `Grid.keys`.
+    Each place has the second name and the index of a cell; a name of 0 stands for none.
     """
 
     def __init__(self, keys: NDArray[np.uint64]):

@@ -30,15 +30,13 @@ _SMALLEST = 1e-20
 class IrradianceCache:
     """Irradiance of C cells, by the number of path segments that it took from a light at most.
 
-    A path that has few segments left gets the light of few segments, as one that was traced on would.
-
     Attributes:
         cells: the cells.
         irradiance: (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
         lights: chances with which paths choose lights.
         transfer: what it takes to follow lights that change.
-        renewed: share of the work that was done to follow their last change; below 1, some of the light is
-            an estimate from the light before.
+        renewed: share of the work that was done to follow their last change; below 1, some light is an
+            estimate.
     """
 
     cells: Cells
@@ -105,11 +103,10 @@ def look_up(
 
     Args:
         arrays: of an `IrradianceCache`.
-        position, normal: N Mitsuba points and unit normals of the lit side.
+        position, normal: N points and unit normals of the lit side.
         area: (N,) area over which the paths that ask have spread; cells must not be larger.
         segments: (N,) number of segments that these paths may still take, at least 1.
-        jitter: N random points in 0..1, by which neighbouring cells are chosen near borders: the grid must
-            not show.
+        jitter: N random points in 0..1, which choose neighbouring cells near borders, so that no grid shows.
         active: (N,) mask of the paths that ask.
     """
     (origin, scale), table, steps, cells, *channels = arrays
@@ -132,13 +129,13 @@ def look_up(
 def irradiance_share(flags: mi.UInt32, wi: mi.Vector3f, wo: mi.Vector3f, pdf: mi.Float) -> mi.Float:
     """Share, 0 to 1, of the light scattered between N pairs of directions that irradiance stands for.
 
-    A cache gives that share, a path or shadow ray the rest. Both may then sample all of the surface's lobes,
-    in any way: a light is counted once in total. The share is 1 where directions are as dense as those of a
-    diffuse surface, falls towards the peaks of glossy lobes, and is 0 for mirrors and glass. Treating wide
-    glossy lobes as diffuse was 3 % too bright beside a floor of rough metal.
+    A cache gives that share, a path or shadow ray the rest, so that a light is counted once in total. It is 1
+    where directions are as dense as those of a diffuse surface, falls towards the peaks of glossy lobes, and
+    is 0 for mirrors and glass. Treating wide glossy lobes as diffuse was 3 % too bright beside a floor of
+    rough metal.
 
-    Given are Mitsuba BSDF flags, directions in the surface's frame, and the density with which the surface
-    samples `wo`; 0 for the only direction of a mirror.
+    Given are BSDF flags, directions in the surface's frame, and the density with which the surface samples
+    `wo`; 0 for the only direction of a mirror.
     """
     diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & (wi.z * wo.z > 0)
     even = dr.abs(wo.z) * dr.inv_pi

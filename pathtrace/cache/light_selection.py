@@ -30,10 +30,9 @@ _EVEN = 0.2
 def transmittance(
     scene: AnyScene, hit: mi.SurfaceInteraction3f, point: mi.Point3f, active: mi.Bool
 ) -> mi.Color3f:
-    """Share of light (Color3f) that comes to N interactions from points, through what lets it pass.
+    """Share of light (Color3f) that comes to N interactions from points, through thin glass and masks.
 
-    Surfaces pass what their BSDF's null component does: thin glass, and the holes of masks. The share is 0
-    where the lane is not active.
+    It is 0 where the lane is not active.
     """
     share = dr.select(active, mi.Color3f(1), 0)
     going, passed, ray = mi.Bool(active), mi.UInt32(0), hit.spawn_ray_to(point)
@@ -140,7 +139,6 @@ class LightLearning:
 
 
 def _chances(squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Chances (R, E) from sums of squared samples."""
     lights = squares.shape[1]
     # The chances with the least variance are as the root mean squares.
     rows = np.sqrt(squares)

@@ -167,9 +167,8 @@ class Transport:
     def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
         """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
-        What is sent (S, C, 3) is irradiance that comes from lights without other cells between; [n] is that
-        of at most n + 1 segments, the last that of all. There are `most` segments at most, 1 or more; below 0
-        for no bound.
+        What is sent (S, C, 3) comes from lights without other cells between; [n] is that of at most n + 1
+        segments, the last that of all. There are `most` segments at most, 1 or more; below 0 for no bound.
         """
         return told_apart(self.every(sent, most))
 
@@ -293,10 +292,9 @@ class Transfer:
     def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> NDArray[np.float32]:
         """(B + 1, C, 3) irradiance of cells from lights, from sums like `direct` and `reflected`.
 
-        The first is that of direct light, the next ones that of at most 1, 2, ... surfaces on the way.
-
-        Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
-        enough samples of them, so that each patch gets the mean of its region.
+        The first is direct, the next ones met at most 1, 2, ... surfaces on the way. Lights in mirrors and
+        behind glass are found rarely, and are very bright then, so that each patch gets the mean of its
+        region.
         """
         regions = self.transport.patches.regions
         shown = self._shares * reflected[regions]

@@ -78,7 +78,6 @@ def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
 
 
 def _held_out(path: Path, names: list[str]) -> set[str]:
-    """The names of held-out images."""
     if path.is_file():
         with reading(path):
             require_size_below(path, _MOST_NAMES)

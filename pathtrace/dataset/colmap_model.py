@@ -123,7 +123,6 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 def _read(path: Path, reader: Callable[[bytes], _Content]) -> _Content:
-    """What a reader makes of a file."""
     try:
         require_size_below(path, _MOST_BYTES)
         return reader(path.read_bytes())
@@ -201,7 +200,6 @@ def _rows(points: list[tuple[float, ...]]) -> Array:
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """The lines of a text, without comments."""
     return (line for line in content.decode("utf-8-sig").splitlines() if not line.lstrip().startswith("#"))
 
 

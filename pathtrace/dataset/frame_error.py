@@ -46,8 +46,8 @@ class FrameError:
     """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1.
 
     The variance is that of each denoised half, the change that of the denoised frame from half its samples to
-    all of them. The product of the halves' residuals is their squared bias, without bias, and may be
-    negative; its standard deviation is inf if it is not known.
+    all. The product of the halves' residuals is their squared bias, and may be negative; its standard
+    deviation is inf if it is not known.
     """
 
     variance: float
@@ -78,9 +78,8 @@ class FrameError:
 def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = None) -> FrameError:
     """Error of a frame that is denoised from two halves of its samples; ValueError if they differ in size.
 
-    A frame traced at once has a little less: its samples are spread more evenly than those of two halves. The
-    halves are of the same view and as many samples, from different seeds. If it is there already, `denoised`
-    is the (H, W, 3) `one.mixed(other, 0.5).denoised()`.
+    A frame traced at once has a little less. The halves are of as many samples, from different seeds;
+    `denoised` is `one.mixed(other, 0.5).denoised()`, if it is there already.
     """
     if one.radiance.shape != other.radiance.shape:
         raise ValueError(f"halves of {one.radiance.shape} and {other.radiance.shape}; must be of one size")

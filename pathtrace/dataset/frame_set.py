@@ -36,7 +36,7 @@ class FrameEntry:
         file: its EXR file, a captured frame.
         samples: samples per pixel.
         held_out: whether training must not see it.
-        estimates: files of noisy estimates of the same view by their samples per pixel; may be empty.
+        estimates: files of noisy estimates of the view by their samples per pixel.
         halves: files of the radiance of two independent halves of the samples, if there are estimates.
         time: that it shows, from 0 to 1.
     """
@@ -67,7 +67,7 @@ class FrameSet:
         close_ups: parts of held-out views at a multiple of their resolution.
         integrator: name of the one that training frames and estimates were traced with.
         courses: of the shapes that move rigidly.
-        plan: what was planned for the scene, by name; empty if nothing was.
+        plan: what was planned for the scene, by name.
     """
 
     folder: Path
@@ -160,7 +160,7 @@ def _samples(entry: dict[str, Any]) -> int:
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """Settings of a capture.
+    """Settings of a capture; UserError for a seed, ValueError for a number that is out of range.
 
     Attributes:
         views: number of training views.
@@ -169,13 +169,9 @@ class CaptureSettings:
         spp: samples per pixel of a training view, which is denoised afterwards.
         held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
         close_ups: multiples of the resolution at which parts of held-out views are rendered, too.
+        seed: same seed, same frames; from 0 to compose.base.errors.MOST_SEED.
         monocular: whether views are those of one camera that sways around the scene's own, one instant after
             the other; otherwise they are free, and each shows a time of its own.
-        seed: same seed, same frames; from 0 to compose.base.errors.MOST_SEED.
-
-    Raises:
-        UserError: the seed is out of range.
-        ValueError: a count or a size is not positive, or held-out views have a single sample per pixel.
     """
 
     views: int = 64

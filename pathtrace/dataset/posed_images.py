@@ -37,8 +37,8 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 class Lens:
     """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
 
-    Skew is in pixels to the right per unit downwards on the image plane. The divisor has k4, k5 and k6 of
-    OpenCV's rational model, by which what k1, k2 and k3 give is divided.
+    Skew is in pixels to the right per unit downwards on the image plane; the divisor is k4, k5 and k6 of
+    OpenCV.
     """
 
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -58,15 +58,20 @@ class Lens:
 
 
 def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Camera, list[Array]]:
-    """Images as a camera without a lens would show them, without the margin that the lens did not show.
+    """Images (H, W) as a camera without a lens shows them, cut to what the lens showed, and that camera.
 
-    Images are (H, W) each, taken with the lens; the camera is the view without distortion, at their size.
-    Returned are the camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
-    ValueError if the distortion is too strong: it folds, or leaves less than half of the frame.
+    They are resampled by cubic splines; `camera` is the view without distortion, at their size. ValueError if
+    the distortion is too strong: it folds, or leaves less than half of the frame.
     """
+    centres, shape = camera.pixel_centres(), (camera.height, camera.width)
     # Lenses of damaged files overflow, and are refused.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        x, y = _sources(camera, lens)
+        x, y = lens.distorted(
+            (centres[:, 0] - camera.cx) / camera.fx, (centres[:, 1] - camera.cy) / camera.fy
+        )
+        # Columns and rows, counted from 0, where the image shows what a pixel does.
+        x, y = camera.fx * x + lens.skew * y + camera.cx - 0.5, camera.fy * y + camera.cy - 0.5
+        x, y = x.reshape(shape), y.reshape(shape)
         rows, columns = _valid_rectangle(camera, x, y)
     at = np.stack([y[rows, columns], x[rows, columns]])
     _, height, width = at.shape
@@ -77,17 +82,6 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
         )
     cut = camera.cropped(columns.start, rows.start, width, height)
     return cut, [map_coordinates(image, at, order=3, mode="nearest") for image in images]
-
-
-def _sources(camera: Camera, lens: Lens) -> tuple[Array, Array]:
-    """(H, W) columns and rows, counted from 0, where the image shows what an undistorted pixel does."""
-    centres = camera.pixel_centres()
-    x, y = (centres[:, 0] - camera.cx) / camera.fx, (centres[:, 1] - camera.cy) / camera.fy
-    x, y = lens.distorted(x, y)
-    shape = camera.height, camera.width
-    across = camera.fx * x + lens.skew * y + camera.cx - 0.5
-    down = camera.fy * y + camera.cy - 0.5
-    return across.reshape(shape), down.reshape(shape)
 
 
 def _valid_rectangle(camera: Camera, x: Array, y: Array) -> tuple[slice, slice]:
@@ -114,7 +108,7 @@ def _folds(x: Array, y: Array) -> bool:
     if min(x.shape) < 2:
         return False
     (x_down, x_across), (y_down, y_across) = np.gradient(x), np.gradient(y)
-    return bool((x_across * y_down - x_down * y_across <= 0).any())
+    return bool((x_across * y_down <= x_down * y_across).any())
 
 
 @dataclass(frozen=True)
@@ -143,8 +137,7 @@ class PosedFolder:
     """A folder of posed images.
 
     Attributes:
-        folder: the folder itself.
-        layout: name of its layout.
+        folder, layout: the folder, and the name of its layout.
         scene_name: the folder's name, as far as it can be that of a scene.
         scene_hash: SHA-256 of the images and of all that is known of them.
         images: training and held-out ones, in the order of the folder.

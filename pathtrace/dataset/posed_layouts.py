@@ -80,11 +80,8 @@ def _nerfstudio(folder: Path) -> dict[str, Any] | None:
         content = read_json(folder / TRANSFORMS)
     except (OSError, ValueError):
         return None
-    return (
-        content
-        if isinstance(content, dict) and "frames" in content and "format_version" not in content
-        else None
-    )
+    is_own = not isinstance(content, dict) or "frames" not in content or "format_version" in content
+    return None if is_own else content
 
 
 def read_posed_folder(folder: Path) -> PosedFolder:
@@ -111,13 +108,11 @@ def read_posed_folder(folder: Path) -> PosedFolder:
         )
     if all(image.held_out for image in images):
         raise UserError(f"{folder}: holds no frames to train on")
-    return PosedFolder(
-        folder, layout, scene_name(folder.resolve().name, _UNNAMED), _hash(images), images, points, bounds
-    )
+    name = scene_name(folder.resolve().name, _UNNAMED)
+    return PosedFolder(folder, layout, name, _hash(images), images, points, bounds)
 
 
 def _hash(images: list[PosedImage]) -> str:
-    """SHA-256 of all images, their labels, cameras and times."""
     state = hashlib.sha256()
     for image in images:
         state.update(repr((image.camera.key, image.lens, image.time, image.held_out)).encode())
@@ -173,7 +168,6 @@ def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
 
 
 def _frames(path: Path, content: dict[str, Any], held_out: bool) -> list[PosedImage]:
-    """The images that the content of a file describes."""
     with described_by(path):
         frames = list(content["frames"])
     found = []
@@ -185,7 +179,7 @@ def _frames(path: Path, content: dict[str, Any], held_out: bool) -> list[PosedIm
     return found
 
 
-def _image_file(folder: Path, name: str) -> Path:
+def _image_file(folder: Path, name: object) -> Path:
     """The image of a frame: as it is named, or of the first kind that there is if only the stem is named."""
     file = file_inside(folder, name.replace("\\", "/") if isinstance(name, str) else name)
     if file.suffix.lower() in _IMAGES:
@@ -209,9 +203,9 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera, Lens
     if "fl_x" in values:
         focal = number("fl_x", 0), number("fl_y", values["fl_x"])
     else:
-        focal = (_focal(values, "camera_angle_x", width),) * 2
-        if "camera_angle_y" in values:
-            focal = focal[0], _focal(values, "camera_angle_y", height)
+        across = _focal(values, "camera_angle_x", width)
+        has_other = "camera_angle_y" in values
+        focal = across, _focal(values, "camera_angle_y", height) if has_other else across
     centre = number("cx", width / 2), number("cy", height / 2)
     coefficients = [number(name, 0) for name in ("k1", "k2", "k3", "k4", "p1", "p2")]
     if not (
@@ -241,7 +235,7 @@ def read_nerfies(
 ) -> tuple[list[PosedImage], NDArray[np.float64] | None, tuple[float, float] | None]:
     """Images, points (M, 3) in the coordinates of their cameras, and the bounds of distances.
 
-    UserError if a file is missing or damaged, labels are of another size, or values make no view.
+    UserError as in `read_synthetic`, or if labels are of another size.
     """
     content = document(folder / DATASET)
     with described_by(folder / DATASET):
@@ -262,8 +256,9 @@ def read_nerfies(
             camera, lens = _nerfies_camera(content, centre, scale, level, size)
         label = None if labels is None else _label(labels, name, size)
         images.append(PosedImage(camera, lens, file, label, time, name in held_out))
-    points = _points(folder / _POINTS) if (folder / _POINTS).is_file() else None
-    return images, None if points is None else (points - centre) * scale, bounds
+    if not (folder / _POINTS).is_file():
+        return images, None, bounds
+    return images, (_points(folder / _POINTS) - centre) * scale, bounds
 
 
 def _times(path: Path, ids: list[str]) -> list[float]:
@@ -308,13 +303,11 @@ def _level(folder: Path, ids: list[str]) -> int:
 
 
 def _labels_folder(folder: Path, level: int) -> Path | None:
-    """Where the label images of that size lie; None if there are none."""
     places = [folder / name / f"{level}x" for name in _LABEL_FOLDERS]
     return next((place for place in places if place.is_dir()), None)
 
 
 def _label(folder: Path, name: str, size: tuple[int, int]) -> Path:
-    """The label image that belongs to an image of a size."""
     mask = _file(folder, name, ".png.png")
     path = mask if mask.is_file() else _file(folder, name, ".png")
     found = read_size(path)

@@ -36,11 +36,9 @@ _TURNED = 0.1
 class Guide:
     """Light (R, bins) by direction in R regions: sums of what M rays in even directions brought.
 
-    A ray that brought much raises the density of its own direction, which would take weight from it: each ray
-    is weighed by what the other rays found, or the sum would be too small.
-
-    What rays brought is in any unit, at least 0. They start in regions, counted from 0, and their directions
-    lie at squares as in `Seen`.
+    It is in any unit, at least 0; directions lie at squares as in `Seen`. A ray that brought much raises the
+    density of its own direction, which would take weight from it: each ray is weighed by what the others
+    found.
     """
 
     def __init__(self, region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]):
@@ -95,7 +93,6 @@ def even_squares(count: int, each: int, random: np.random.Generator) -> NDArray[
 
 
 def _bins(square: NDArray[np.float32]) -> NDArray[np.int64]:
-    """(M,) bin in which each point of the square lies."""
     row, column = np.minimum((square * _SIDE).astype(np.int64), _SIDE - 1).T
     return row * _SIDE + column
 
@@ -103,10 +100,8 @@ def _bins(square: NDArray[np.float32]) -> NDArray[np.int64]:
 def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
     """(M,) cell that each ray hit; -1 where it left the scene, or if there is no cell.
 
-    Where a ray hit no cell, since nothing is known there or something divides the cell, the cell of the
-    nearest point that faces the same way stands for it. Without these rays the mean of the others would
-    stand for them, although they often hit what is darker: corners, and what lies behind things. The cells
-    are known by the points.
+    Where a ray hit no known cell, that of the nearest point that faces the same way stands for it: these rays
+    often hit what is darker than the mean of the others, such as corners.
     """
     hit = np.where(seen.valid, cells.smallest(seen.hits), -1)
     lost = np.flatnonzero(seen.valid & (hit < 0))
@@ -223,8 +218,8 @@ def fill_cache(
 ) -> IrradianceCache:
     """A cache of the irradiance that paths from some views, at least one, will ask for.
 
-    Each generation has a number of points. Progress is told the steps done and the steps in all. Same seed,
-    same cache on the same machine. In participating media nothing is known, so that no path ends in it.
+    Each generation has a number of points. Progress is told steps done and steps in all. Same seed, same
+    cache on the same machine. In participating media nothing is known, so that no path ends in it.
     """
     random = np.random.default_rng(seed)
     total = _GENERATIONS + 2
@@ -261,7 +256,6 @@ def fill_cache(
 
 
 def _seen_evenly(scene: AnyScene, points: Points, random: np.random.Generator) -> Seen:
-    """What is seen from points in even directions."""
     square = even_squares(len(points), _RAYS, random)
     return gather_seen(scene, points, np.repeat(np.arange(len(points)), _RAYS), square, _state(random))
 

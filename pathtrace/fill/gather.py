@@ -79,12 +79,11 @@ def lit(
 ) -> tuple[Any, Any, Any]:
     """Irradiance at points from lights, by one shadow ray each and one ray that may hit a light.
 
-    A lamp that touches a point is hardly ever sampled where it does, and then outshines all others; rays in
-    any direction find it there. The two are weighed against each other (Veach and Guibas 1995).
+    A lamp that touches a point is hardly ever sampled where it does; rays in any direction find it there. The
+    two are weighed against each other (Veach and Guibas 1995).
 
     Args:
-        scene: a Mitsuba scene.
-        at: from `surfaces_at`; only those that are active count.
+        scene, at: a scene, and `surfaces_at` it; only those that are active count.
         square: where on the lights, each light with the same chance.
         other: where the other ray's direction lies, cosine-weighted around the normal.
 
@@ -185,16 +184,13 @@ class Seen:
     Attributes:
         point: (M,) index of the point that each started at.
         square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one hit
-            first.
-        passed: (M,) number of such surfaces on the way to these lights, at least 1; of several ways one by
-            chance, more likely the one that brought more.
+        radiance: (M, 3) of lights in mirrors, glossy surfaces and glass, but for one hit first.
+        passed: (M,) number of such surfaces on the way to them, at least 1; of several ways one by chance.
         hits: the M points that they hit last.
         valid: (M,) whether a ray hit a surface that reflects irradiance.
         shiny: (M,) whether the surface that it hit first may show lights.
         bounces: (M,) mirrors, glossy and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point, if valid; else
-            0.
+        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point; 0 if not valid.
     """
 
     point: NDArray[np.int64]
@@ -296,11 +292,10 @@ def irradiance_over_time(
 ) -> NDArray[np.float32]:
     """(T, 3, N) irradiance of N points, of which (M,) move, at T times from 0 to 1, ascending.
 
-    Light that comes over other surfaces has the irradiance of time 0 there, which is the cache's; on what
-    stands still, it is as at time 0. All times have the same random numbers, so that their ratios have less
-    noise than they. Same seed, same irradiance on the same machine.
+    Light that comes over other surfaces has the cache's irradiance, of time 0, there; on what stands still,
+    it is as at time 0. All times have the same random numbers, so that their ratios have little noise.
 
-    `points` says where the N points are at a time, and progress is told the times done and their number.
+    `points` says where the N points are at a time; progress is told the times done and their number.
     Afterwards the scene shows the last time.
     """
     scene.set_time(0.0)

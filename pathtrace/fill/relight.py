@@ -37,10 +37,9 @@ PARTS = 12
 
 
 class Renewal:
-    """Sums over A places, before and after a change of the light.
+    """Sums over A places in regions (A,), numbered from 0 on, before and after a change of the light.
 
-    Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,). Places
-    lie in regions (A,), numbered from 0 on.
+    Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,).
     """
 
     def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
@@ -117,8 +116,7 @@ class Part:
     """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
 
     As Dr.Jit arrays, `sampled` holds the irradiance of the points, that of each sample, and its light;
-    `shown` the irradiance by rays. `numbers` are the indices of lights, by the numbers by which kernels know
-    them.
+    `shown` the irradiance by rays; `numbers` are indices of lights by the numbers that kernels know.
     """
 
     points: slice
@@ -175,7 +173,6 @@ class Resampling:
         return Part(points, rays, sampled, shown, self._numbers)
 
     def _from(self, part: slice) -> tuple[mi.UInt32, ...]:
-        """Seed and first index of a part, for kernels."""
         return tuple(dr.opaque(mi.UInt32, n) for n in (int(self._random.integers(1 << 32)), part.start))
 
     def _of_points(
@@ -218,8 +215,7 @@ def _rows(channels: tuple[Any, ...], part: slice) -> NDArray[np.float32]:
 class Relighting:
     """The light of a cache, kept up to date with the lights of its scene, which have just changed.
 
-    The cache, which was filled for that scene, has at least one cell, and all of its light is known. With the
-    same seed, light is the same on the same machine.
+    The cache has at least one cell, and all of its light is known. Same seed, same light on the same machine.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, seed: int = 0):
@@ -267,7 +263,6 @@ class Relighting:
         return self._cache
 
     def _add(self, part: Part) -> None:
-        """Learns from new samples."""
         self._direct.add(self._transfer.patch[part.points], part.direct())
         self._reflected.add(self._transfer.ray_regions[part.rays], part.reflected())
         self._learning.add(part.lights(), self._rows[part.points])

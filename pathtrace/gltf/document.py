@@ -159,7 +159,6 @@ def _mended(tree: object) -> object:
 
 @functools.cache
 def _schema() -> Callable[[Any], dict[str, Any]]:
-    """Checks a tree against the schema of the specification, and adds its defaults."""
     # A schema is compiled to Python; the specification's own comes with trimesh.
     return fastjsonschema.compile(get_schema())
 
@@ -222,7 +221,6 @@ def read_view(document: Document, index: int, user: str) -> tuple[bytes, int | N
 def _viewed(
     document: Document, part: dict[str, Any], kind: str, shape: tuple[int, int], user: str
 ) -> NDArray[Any]:
-    """Numbers in a buffer view."""
     content, stride = read_view(document, part["bufferView"], user)
     size = np.dtype(kind).itemsize
     start, row = int(part.get("byteOffset", 0)), int(stride or size * shape[1])

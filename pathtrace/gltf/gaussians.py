@@ -45,8 +45,7 @@ class StoredGaussians:
 def read_gaussians(document: Document, remarks: list[str]) -> list[StoredGaussians]:
     """The Gaussians that a document shows, as it stands at rest; none of one that shows triangles.
 
-    All have harmonics of the same degree. Lines for the user are added to the remarks. UserError if
-    Gaussians lack an attribute, or have one that is not as the extension says, or the file is damaged.
+    All have harmonics of the same degree; remarks get lines for the user. UserError if they are damaged.
     """
     with undamaged(document.file):
         found = _shown(document, remarks)

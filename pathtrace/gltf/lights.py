@@ -27,7 +27,7 @@ _FOV = 45.0
 
 @dataclass(frozen=True)
 class Light:
-    """A light without a shape, point, spot or directional, which shines along the negative z of its node.
+    """A light, point, spot or directional, which shines along the negative z of its node.
 
     Its colour (3,) is times intensity: candela, or lux of a directional light. The cone of a spot is its
     inner and outer angle, in degrees from its axis.

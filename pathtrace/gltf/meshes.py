@@ -92,7 +92,6 @@ class Primitive:
 
 
 def _row(values: Array, time: int) -> int:
-    """Index of a time among values of all times, or of one for all of them."""
     return min(time, len(values) - 1)
 
 
@@ -227,9 +226,8 @@ def write_mesh(
 ) -> None:
     """Writes a mesh to a .ply file; the order of its vertices is kept.
 
-    Faces (F, 3) are indices of vertices, at positions (V, 3). If there are any, normals (V, 3) are unit
-    vectors; uvs (V, 2) have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear,
-    Mitsuba's `vertex_color`.
+    Faces (F, 3) are indices of vertices, at positions (V, 3); normals (V, 3) are unit vectors; uvs (V, 2)
+    have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear, Mitsuba's `vertex_color`.
     """
     counts = len(positions), len(faces)
     mesh = mi.Mesh(

@@ -51,10 +51,9 @@ def without_scale(poses: Array) -> Array:
 def keyframes_of(times: Array, poses: Array, about: Array, corners: Array) -> list[Keyframe]:
     """The fewest keyframes, found greedily, that bring a shape where poses bring it.
 
-    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe as well (Ramer
-    1972, Douglas and Peucker 1973). The poses (T, 4, 4) are rigid transforms from rest at times (T,) from 0
-    to 1, ascending; the shape turns about a point (3,), and its corners (N, 3) at rest are those whose ways
-    are compared.
+    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe (Ramer 1972,
+    Douglas and Peucker 1973). Poses (T, 4, 4) are rigid transforms from rest at ascending times (T,) from 0
+    to 1; the shape turns about a point (3,), and the ways of its corners (N, 3) at rest are compared.
     """
     keys = [_keyframe(time, pose, about) for time, pose in zip(times, poses, strict=True)]
     wanted = _moved(poses, corners)

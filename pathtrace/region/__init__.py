@@ -20,12 +20,10 @@ ViewingRegion = NearRegion | ReachableRegion | PathRegion
 
 
 def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
-    """The region that a user asks for.
+    """The region that a user asks for: "near", "reachable", or the name of a file with a camera's path.
 
-    That is "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach from
-    there, or the name of a file with a camera's path (pathtrace.region.camera_path). UserError if there is no
-    such region or file, the file is broken, the path leaves the free space, the scene's own camera sees
-    nothing, or there is no free space around it.
+    UserError if there is no such region or file, the file is broken, the path leaves the free space, the
+    scene's own camera sees nothing, or there is no free space around it.
     """
     if given == NEAR:
         return NearRegion(scene, surfaces)

@@ -44,10 +44,10 @@ _BALL_TRIES = 8
 
 
 def read_path(file: Path, up: Array) -> tuple[list[Array], float | None]:
-    """The path in a file: poses (4, 4) camera-to-world, OpenCV axes, and the radius of the space around it.
+    """Poses (4, 4) of the path in a file, camera-to-world, OpenCV axes, and the radius that it has, if any.
 
-    They are in the coordinates of the scene's file, in which `up` (3,) is up unless a pose says otherwise.
-    Without a radius, the region chooses one. UserError if the file holds no path.
+    All are in the coordinates of the scene's file, in which `up` (3,) is up unless a pose says otherwise.
+    UserError if the file holds no path.
     """
     with reading(file):
         document = read_json(file, _MOST_BYTES)
@@ -84,7 +84,6 @@ def _pose(frame: dict[str, Any], up: Array) -> Array:
 
 
 def _point(frame: dict[str, Any], name: str) -> Array:
-    """(3,) numbers of a frame."""
     value = np.asarray(frame[name], dtype=np.float64)
     if value.shape != (3,) or not np.isfinite(value).all():
         raise ValueError(f"{name} is not three numbers")
@@ -92,11 +91,10 @@ def _point(frame: dict[str, Any], name: str) -> Array:
 
 
 class PathRegion(DrawnRegion):
-    """The space around the camera's path in a file.
+    """The space around the camera's path in a file, whose name it has.
 
-    Without a radius of what belongs to the region around its poses, that is an eighth of the distance to what
-    the cameras see. The name is that of the file. UserError as for `read_path`, or if a pose lies on a
-    surface, or a surface lies between it and the pose before; or the path sees no surface.
+    Its radius is an eighth of the distance to what the cameras see, if the file has none. UserError as for
+    `read_path`, if a pose lies on a surface, or a surface between two poses, or the path sees no surface.
     """
 
     _views = "along the path"
@@ -188,6 +186,5 @@ class PathRegion(DrawnRegion):
         return nearest
 
     def _is_free(self, places: Array, points: Array) -> NDArray[np.bool_]:
-        """Whether points (N, 3) are seen from places (N, 3) and not on a surface."""
         clearance = self._surfaces.clearances(points)
         return self._surfaces.are_joined(places, points) & (clearance >= self._least)

@@ -137,7 +137,6 @@ class Neighbourhood:
         return _moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0)
 
     def _is_usable(self, candidate: Camera) -> bool:
-        """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
         return (
             self.surfaces.sees(self.home.position, candidate.position)
             and self.surfaces.clearance(candidate.position) >= _CLEARANCE * self.scale
@@ -210,8 +209,7 @@ class ViewSet:
 def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
     """Views around the scene's own camera to measure on, which differ from those of any training.
 
-    Of a scene that moves, they show times half a step from those of training views. Args and raises as in
-    `choose_views`.
+    Of a scene that moves, they show times half a step from those of training views.
     """
     neighbourhood = Neighbourhood(scene, scene.surfaces(), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
@@ -245,7 +243,6 @@ def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, he
 def view_time(scene: Scene, number: float) -> float:
     """The time from 0 to 1 that a view shows, by its number; 0 if nothing moves.
 
-    Those of numbers 0, 1, 2 ..., which views to train on have, are evenly spread over all times; validation
-    views have numbers between, 0.5, 1.5 and so on.
+    Views to train on have numbers 0, 1, 2 ..., of evenly spread times; validation views 0.5, 1.5 and so on.
     """
     return 0.0 if scene.moving is None else (0.5 + number * _GOLDEN) % 1

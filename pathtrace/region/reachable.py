@@ -180,7 +180,6 @@ class FreeSpace:
         return nodes[self._are_passable(np.tile(self._home, (len(ends), 1)), ends, radius)]
 
     def _is_within(self, nodes: _Nodes) -> Mask:
-        """Whether nodes lie where the scene does."""
         points, limit = self._position(nodes), self.measures
         is_near = np.linalg.norm(points - self._home, axis=1) <= limit.reach
         return is_near & (points >= limit.low).all(axis=1) & (points <= limit.high).all(axis=1)
@@ -215,7 +214,6 @@ class FreeSpace:
 
 
 def _key(nodes: _Nodes) -> _Nodes:
-    """(N,) one number for each node (N, 3)."""
     shifted = nodes + _HALF
     return (shifted[:, 0] * (2 * _HALF) + shifted[:, 1]) * (2 * _HALF) + shifted[:, 2]
 

@@ -23,9 +23,8 @@ _LEAST = 0.5
 class ViewCoverage:
     """What a set of views shows of a scene, and how finely.
 
-    A view covers a point if the point lies in its frame, nothing hides it, and the pixels there are fine
-    enough. Resolutions are compared as if all frames had the height of the views': how many pixels a display
-    has is not for a region to judge, how near its views came to a surface is. Reflections do not count.
+    A view covers a point if that lies in its frame, nothing hides it, and pixels there are fine enough. All
+    frames are compared at the height of the views'. Reflections do not count.
     """
 
     def __init__(self, surfaces: Surfaces, cameras: list[Camera]):
@@ -105,8 +104,8 @@ def _resolution(
 ) -> Array:
     """(N,) frame heights per unit of length along surfaces with unit normals (N, 3).
 
-    Seen at a slant, a surface keeps its resolution along one axis and loses it along the other: this is the
-    geometric mean. A surface seen from behind has none. Ways (N, 3) lead from the surfaces to the views.
+    At a slant, it is the geometric mean of both axes; from behind, 0. Ways (N, 3) lead from surfaces to
+    views.
     """
     length = np.linalg.norm(ways, axis=1)
     cosine = np.sum(ways * normal, axis=1) / length

@@ -114,7 +114,6 @@ def _leave_out(state: mi.parser.ParserState, numbers: Collection[int]) -> None:
 
 
 def _of_kind(properties: mi.Properties, kind: mi.Properties.Type) -> dict[str, Any]:
-    """Properties of a type, by name."""
     return {name: properties[name] for name in list(properties.keys()) if properties.type(name) == kind}
 
 
@@ -291,7 +290,6 @@ def _configuration() -> mi.parser.ParserConfig:
 
 
 def _state(configuration: mi.parser.ParserConfig, source: Source) -> mi.parser.ParserState:
-    """The parsed description of a scene."""
     if isinstance(source.content, dict):
         return mi.parser.parse_dict(configuration, source.content)
     return mi.parser.parse_string(configuration, source.content)
@@ -380,10 +378,9 @@ def _in_folder(source: Source, load: Callable[[], _Found]) -> _Found:
 def in_good_coordinates(
     source: Source, loaded: mi.Scene, camera: Camera, apart: Collection[str] = (), sensor: str | None = None
 ) -> tuple[mi.Scene, Camera, Place]:
-    """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
+    """A scene, given as loaded and its camera, in coordinates that Mitsuba can trace it in, with its place.
 
-    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba` and
-    `perspective_sensor`. UserError if the scene cannot be moved or scaled as far as it would have to be.
+    UserError if it cannot be moved or scaled as far as it would have to be.
     """
     if _is_ordinary(loaded, camera):
         return loaded, camera, WORLD
@@ -409,7 +406,6 @@ def in_good_coordinates(
 
 
 def _is_ordinary(loaded: mi.Scene, camera: Camera) -> bool:
-    """Whether rays start near enough to surfaces in the coordinates of the file."""
     far, box = float(np.linalg.norm(camera.position)), loaded.bbox()
     size = float(np.max(np.array(box.max) - np.array(box.min)))
     if size >= _ORDINARY_SIZE and far <= _ORDINARY_DISTANCE:

@@ -65,13 +65,8 @@ _Point = tuple[float, float, float]
 class Formula:
     """Vertices that move by three expressions of their rest position x, y, z and the time t.
 
-    All are in the coordinates of the scene's file.
-
-    Attributes:
-        texts: of the new x, y and z, in Python's notation: numbers, + - * / **, parentheses, pi, and sin,
-            cos, exp, sqrt, abs, min and max.
-
-    ValueError if an expression holds anything else.
+    All are in the coordinates of the scene's file and in Python's notation: numbers, + - * / **, parentheses,
+    pi, and sin, cos, exp, sqrt, abs, min and max. ValueError if an expression holds anything else.
     """
 
     texts: tuple[str, str, str]
@@ -146,14 +141,9 @@ class Keyframe:
 class RigidTrack:
     """Rigid motion: translation and angle are linear between keyframes, and constant beyond them.
 
-    Between quaternions, shapes turn the shorter way at a constant speed (Shoemake 1985).
-
-    Attributes:
-        keyframes: at least one, in the order of their times; all have quaternions, or none.
-        axis: (x, y, z), unit, that the shape turns around.
-        about: (x, y, z), a point on the axis where the shape is at rest.
-
-    ValueError if keyframes are missing or out of order, or some have quaternions and others do not.
+    There is at least one keyframe; all have quaternions, between which shapes turn the shorter way at a
+    constant speed (Shoemake 1985), or none. The axis is a unit vector; `about` is a point on it, at rest.
+    ValueError if keyframes are missing, out of order, or of both kinds.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -175,7 +165,6 @@ class RigidTrack:
         return pose
 
     def _rotation(self, time: float, times: Sequence[float]) -> Array:
-        """(3, 3) at a time."""
         quaternions = [key.rotation for key in self.keyframes if key.rotation is not None]
         if quaternions:
             rotations = Rotation.from_quat(quaternions, scalar_first=True)
@@ -229,9 +218,8 @@ class LightTrack:
 class SceneMotion:
     """What moves in a scene while the time goes from 0 to 1, in so many seconds.
 
-    Shapes have tracks by their id, or by that of a light that is no shape and has a place; lights have tracks
-    of radiance by their id, or by that of the shape that shines. The fingerprint is a hash of the file and of
-    all meshes that it names.
+    Shapes, and lights without a shape that have a place, have tracks by their id; so have lights, and shapes
+    that shine, of radiance. The fingerprint is a hash of the file and of all meshes that it names.
     """
 
     seconds: float

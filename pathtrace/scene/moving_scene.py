@@ -42,13 +42,12 @@ _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
 class MovingScene:
     """A Mitsuba scene in which shapes and lights follow their tracks, from 0 to 1; it is at t = 0 at first.
 
-    The scene is changed in place. Only what has another place than before is touched, and no kernel is
-    compiled again. UserError if a track is for a shape or light that does not exist or cannot move that way.
+    It is changed in place, only where something has moved, and no kernel is compiled again. UserError if a
+    track is for what does not exist or cannot move that way.
 
     Args:
-        motion: the tracks.
+        scene, motion, place: the scene, its tracks, and its coordinates.
         names: the id that a shape or light of the scene has, by the one that it has in the scene's file.
-        place: the scene's coordinates.
         source: name of the scene, for error messages.
     """
 
@@ -255,7 +254,6 @@ class _Tracked:
         return between_meshes
 
     def _mesh(self, name: str, file: Path, count: int) -> Array:
-        """Vertices (N, 3) of a mesh file."""
         kind = file.suffix.lower().lstrip(".")
         if kind not in ("ply", "obj"):
             raise self._refused(name, f"{file}: must be a PLY or OBJ file")

@@ -30,9 +30,9 @@ _COLOURS = ("specular_reflectance", "specular_transmittance")
 def with_thin_glass(scene: mi.Scene) -> int:
     """Makes the panes of a Mitsuba scene pass light straight on, in place; returns how many shapes are panes.
 
-    A shape is one if all its connected parts are thin slabs with parallel faces, or flat sheets, of clear
-    `dielectric` without a medium inside, or if it is of `thindielectric` already. Each face of a slab passes
-    as much light along its normal as it did, and within 3 % as much up to 60 degrees from it.
+    All connected parts of a pane are thin slabs with parallel faces, or flat sheets, of clear `dielectric`
+    without a medium inside, or it is of `thindielectric` already. Each face of a slab passes as much light
+    along its normal as it did, and within 3 % as much up to 60 degrees from it.
     """
     panes = pane_shapes(scene)
     for shape in panes:
@@ -66,7 +66,6 @@ def pane_faces(triangles: Array | None) -> int:
 
 
 def _parts(triangles: Array) -> list[Array]:
-    """The connected parts of a shape."""
     corners = triangles.reshape(-1, 3)
     size = np.ptp(corners, axis=0).max() or 1.0
     _, vertex = np.unique(
@@ -123,8 +122,8 @@ def _thin(glass: mi.BSDF, faces: int) -> mi.BSDF | None:
 def _index(ratio: float, faces: int) -> float:
     """Index of refraction of the `thindielectric` for one of the faces of a pane of a given one.
 
-    A `thindielectric` stands for both faces of its pane: it reflects r = 2 R / (1 + R), where one face
-    reflects R. For a slab, which has two of them, r must be the reflectance of one face.
+    It stands for both faces of its pane: it reflects r = 2 R / (1 + R), where one face reflects R. For a
+    slab, which has two of them, r must be the reflectance of one face.
     """
     ratio = max(ratio, 1 / ratio)
     if faces == 1:

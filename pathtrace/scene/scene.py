@@ -82,13 +82,10 @@ def files_of_scene(source: str | Path) -> list[Path]:
 
 
 def with_ordered_shapes(scene: mi.Scene) -> tuple[Any, dict[str, str]]:
-    """The same Mitsuba scene with its shapes sorted by bounding box and number of primitives.
+    """The same scene with its shapes sorted, and the new ids of its shapes and lights by the old ones.
 
-    Also returns the new ids of its shapes, and of lights that are not shapes, by their old ones.
-
-    Where Mitsuba merges meshes, the order of the merged meshes, and of the lights among them, differs each
-    time a scene is loaded: the same random number would choose another light, and the same seed give other
-    noise. Scenes with instances keep the order in which they were loaded.
+    Where Mitsuba merges meshes, their order differs each time a scene is loaded, and with it the noise of the
+    same seed. Scenes with instances keep the order in which they were loaded.
     """
     if any(shape.class_name() == "Instance" for shape in scene.shapes()):
         # Instances cannot leave the scene that holds what they repeat.
@@ -104,7 +101,6 @@ def with_ordered_shapes(scene: mi.Scene) -> tuple[Any, dict[str, str]]:
 
 
 def _sort_key(shape: mi.Shape) -> tuple[float, ...]:
-    """Bounding box (minimum, maximum) and number of primitives of a shape."""
     box = shape.bbox()
     return (*box.min, *box.max, shape.primitive_count())
 
@@ -115,27 +111,21 @@ DEPTH, ROULETTE = "path depth", "roulette depth"
 
 @dataclass(frozen=True)
 class Scene:
-    """A loaded scene.
-
-    A scene that is very small, or far from the origin, is held in coordinates of its own
-    (pathtrace.scene.loading); those of all others are the world's, that of the scene's file.
+    """A loaded scene, in the world's coordinates, or in its own if it is very small or far from the origin.
 
     Attributes:
         name: its name in files and reports.
-        hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
-            is not the scene's own, since images at another depth show other light, and of its coordinates if
-            these are not the world's, and of thin glass.
+        hash: SHA-256 of the scene's description and every file that it names; also of path depth, coordinates
+            and thin glass if these are not the scene's own.
         mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else `own_depth`.
-        own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most; 64 in participating
-            media.
+        own_depth: path depth of the scene's file, DEFAULT_MAX_DEPTH at most; 64 in participating media.
         own_hash: `hash` at that depth.
         place: the scene's coordinates; `place.camera` converts cameras of the world to them.
         thin_glass: whether panes of glass let shadow rays pass (pathtrace.scene.panes).
         moving: what moves in it; None if nothing does.
-        roulette_depth: path depth from which on Russian roulette may end paths: the smaller, the quicker and
-            noisier are samples.
+        roulette_depth: path depth from which on Russian roulette may end paths.
         plan: what is planned for it, by name; empty if nothing is. Frames take it down.
         keeps_depth: whether its path depth was asked for, so that no plan changes it.
         optics: what its cameras see besides surfaces and their light.
@@ -212,15 +202,13 @@ def load_scene(
     motion: Path | None = None,
     sensor: str | None = None,
 ) -> Scene:
-    """Loads a scene and checks that it can be rendered.
+    """Loads a scene and checks that it can be rendered; logs what Mitsuba would show otherwise, once.
 
-    What Mitsuba would show otherwise, such as the blur of a lens, is logged once by the logger "hybrid".
     Threads load one after the other, since Mitsuba's search folders are those of the process.
 
     Args:
         source: a bundled scene's name, the path of a Mitsuba 3 XML file or of a folder with a scene.xml, XML
-            text, whose files are relative to the working folder, or a scene dictionary as for
-            `mitsuba.load_dict`.
+            text, whose files are relative to the working folder, or a dictionary as for `mitsuba.load_dict`.
         max_depth: path depth, at least 1, instead of the scene's own.
         thin_glass: whether panes of glass pass light straight on, so that shadow rays reach lights behind
             them: with far less noise, but without the shift of what is seen through thick ones.
@@ -229,9 +217,8 @@ def load_scene(
         sensor: the id of the perspective camera to use; by default the first.
 
     Raises:
-        UserError: the scene is missing, refused by Mitsuba, has no perspective camera, none of that id or no
-            light, has no panes of the thin glass that is asked for, or is too small or too far from the
-            origin for Mitsuba and cannot be moved or scaled; or its motion is damaged, or not of this scene.
+        UserError: the scene is missing, refused by Mitsuba, has no light, camera or panes as asked for, or
+            cannot be brought to good coordinates; or its motion is damaged, or not of this scene.
     """
     with _LOADING:
         return _loaded(source, max_depth, thin_glass, motion, sensor)
@@ -244,7 +231,6 @@ def _loaded(
     motion: Path | None,
     wanted: str | None,
 ) -> Scene:
-    """As `load_scene`."""
     content, name, description, motion = _described(source, motion)
     moves = None if motion is None else read_motion(motion)
     apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
@@ -309,7 +295,6 @@ def _described(
 
 
 def _require_panes(loaded: mi.Scene, optics: Optics, source: str) -> None:
-    """Makes the panes of a Mitsuba scene thin glass; UserError if it has none, or media."""
     if optics.has_media:
         raise UserError(f"{source}: thin glass: not where there are participating media; leave it out")
     if not with_thin_glass(loaded):
@@ -317,7 +302,6 @@ def _require_panes(loaded: mi.Scene, optics: Optics, source: str) -> None:
 
 
 def _left_out(loaded: mi.Scene, sensor: mi.Sensor, wanted: str | None, optics: Optics) -> Iterator[str]:
-    """What Mitsuba itself would show of a scene otherwise."""
     if len(loaded.sensors()) > 1 and wanted is None:
         yield f"{len(loaded.sensors())} cameras; {sensor.id()}, the first perspective one, is used"
     if "aperture_radius" in mi.traverse(sensor):
@@ -328,5 +312,4 @@ def _left_out(loaded: mi.Scene, sensor: mi.Sensor, wanted: str | None, optics: O
 
 @cache
 def _say(remark: str) -> None:
-    """Logs a remark, once."""
     _LOG.info(remark)

@@ -37,8 +37,8 @@ _MOST_HASHED_BYTES = 1 << 36
 def parse_xml(path: Path, content: bytes | None = None) -> ET.Element:
     """The top element of an XML file, or of content that is to lie there.
 
-    UserError if the file cannot be read, is too large, is not well-formed, declares entities, which can stand
-    for any amount of text, or is nested too deeply for parsers that call themselves.
+    UserError if it cannot be read, is too large, not well-formed or nested too deeply, or declares entities,
+    which can stand for any amount of text.
     """
     if content is None:
         content = _content(path)
@@ -66,13 +66,13 @@ def _content(path: Path) -> bytes:
 class References:
     """What the XML of a scene, and of the files that it includes, refers to.
 
-    These are names of files in the order of the XML, parameters replaced, which may not exist, with the
-    folder of the XML that names them; folders of `<path>`, in which Mitsuba looks for them besides that and
-    the scene's; types of all elements; and the path depth that the last integrator asks for, if any, and
-    whether one of them hides lights. Of the scene's own integrators, nothing else is taken unless asked for.
+    These are names of files in their order, with the folder of the XML that names them; folders of `<path>`,
+    in which Mitsuba looks for them as well; types of all elements; and the path depth that the last
+    integrator asks for, and whether one hides lights. The scene's own integrators count for nothing else
+    unless asked for.
 
-    They are found from the scene's XML file and the elements of that. UserError if an included file is not
-    well-formed, includes form a loop or are too many, or parameters stand for too much text.
+    UserError if an included file is not well-formed, includes are too many, or parameters stand for too much
+    text.
     """
 
     def __init__(self, source: Path, root: ET.Element, with_integrator: bool = False):
@@ -120,7 +120,6 @@ class References:
                 self.names.append((values["filename"], folder))
 
     def _ask(self, tag: str, values: dict[str, str]) -> None:
-        """Takes down what a part of an integrator asks for."""
         name, value = values.get("name"), values.get("value", "").strip()
         if tag == "integer" and name == "max_depth":
             self.max_depth = value
@@ -158,8 +157,7 @@ def mitsuba_folder() -> Path:
 def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
     """Checks that no plugin of a scene, whose elements have such types, would be loaded from its own files.
 
-    UserError if a type is a path, or unknown and a file of that name lies in one of the folders in which
-    Mitsuba looks for files.
+    UserError if a type is a path, or unknown and a file of that name lies in one of the search folders.
     """
     own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
     searched = [folder / "plugins" for folder in (*folders, Path())]
@@ -181,9 +179,8 @@ def referenced_files(path: Path) -> list[Path]:
 def file_fingerprint(content: bytes, root: ET.Element, references: References) -> str:
     """Hash (64 hexadecimal digits) of a scene's XML and of every file that Mitsuba loads because of it.
 
-    Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
-    that only includes, search folders or parameters lead to are added, with their sizes. Those that do not
-    exist are skipped: Mitsuba reports them when it loads the scene. UserError if a file cannot be read.
+    Files that only includes, search folders or parameters lead to are added with their sizes; those that do
+    not exist are skipped. UserError if a file cannot be read.
     """
     digest, folder = hashlib.sha256(content), references.source.parent
     named = (e for e in root.iter("string") if e.get("name") == "filename")
@@ -224,7 +221,6 @@ def dictionary_fingerprint(scene: dict[str, Any]) -> str:
 
 
 def _add_held(digest: hashlib._Hash, value: object) -> None:
-    """Adds what the printed form of a value does not show."""
     if isinstance(value, dict):
         for key, part in value.items():
             file = Path(part) if key == "filename" and isinstance(part, str) else None
@@ -255,9 +251,8 @@ class SceneDescription:
 def read_description(path: Path, given: str | None = None, with_integrator: bool = False) -> SceneDescription:
     """Reads a scene's XML file, or a text that is to lie there, without its integrator by default.
 
-    Paths here have integrators of their own; scenes found elsewhere may name integrators that only their
-    author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
-    memory, or would load native code that is not Mitsuba's.
+    Scenes may name integrators that only their author has. UserError if the file is not well-formed, might
+    take unbounded memory, or would load native code that is not Mitsuba's.
     """
     content = _content(path) if given is None else given.encode()
     root = parse_xml(path, content)

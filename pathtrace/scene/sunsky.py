@@ -102,7 +102,6 @@ def _register() -> None:
 
 
 def _parts(properties: mi.Properties) -> tuple[mi.Emitter, ...]:
-    """Mitsuba's emitters of the sun alone and of the sky alone."""
     shared = {name: properties[name] for name in list(properties.keys()) if name not in _OWN}
     if "to_world" in properties:
         to_world: Any = properties["to_world"]
@@ -113,7 +112,6 @@ def _parts(properties: mi.Properties) -> tuple[mi.Emitter, ...]:
 
 
 def _flux(emitter: mi.Emitter) -> float:
-    """Mean luminance of an emitter's samples: of its light, integrated over all directions."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, _PROBES)
     at = dr.zeros(mi.SurfaceInteraction3f, _PROBES)

@@ -37,10 +37,10 @@ class PathSettings:
         max_depth: number of path segments at most; below 0 for no bound.
         roulette_depth: depth from which Russian roulette may end paths.
         shadow_rays: at the first surface that scatters light; 1 at all others.
-        thin_glass: whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it does
-            not count as a path segment, and what lies behind it is sampled as a light and as a direction.
+        thin_glass: whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it is no
+            path segment, and what lies behind it is sampled as a light and as a direction.
         most_indirect: what indirect light of the first surface that scatters may add to a path at once, in
-            the largest of its channels; None for no bound, without which the result is unbiased.
+            its largest channel; None for no bound, without which the result is unbiased.
     """
 
     max_depth: Any
@@ -53,14 +53,8 @@ class PathSettings:
 class DepthBins:
     """Adds up luminance by the number of segments of paths, and counts segments, for groups of paths apart.
 
-    Args:
-        most: paths of more segments count as such of so many.
-        groups: G, their number.
-        group: (N,) of each path.
-
-    Attributes:
-        sums: (G * most,) luminance.
-        segments: (G,).
+    There are G groups; `group` (N,) is that of each path, and paths of more than `most` segments count as of
+    so many. Sums (G * most,) are luminance; segments (G,) are counted.
     """
 
     def __init__(self, most: int, groups: int, group: mi.UInt32) -> None:
@@ -92,9 +86,8 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
     """N linear colours: radiance along rays, as multiple importance sampling estimates it.
 
     Args:
-        scene, sampler: of Mitsuba.
+        scene, sampler, settings: of Mitsuba, and how paths are traced.
         ray, surface: N Mitsuba rays, and interactions with what they hit first, of which some are active.
-        settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
         cache: in which paths end; with one that knows no cell, the result is unbiased.
         bins: adds up what paths of each number of segments bring.
@@ -170,7 +163,6 @@ def _bounded(settings: PathSettings, added: mi.Color3f, indirect: mi.Bool) -> mi
 
 
 def _passes(settings: PathSettings, sample: mi.BSDFSample3f) -> mi.Bool:
-    """Mask of the samples, Mitsuba's of BSDFs, that pass thin glass."""
     if settings.thin_glass:
         return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
     return mi.Bool(False)

@@ -135,7 +135,6 @@ def sobol_tables() -> list[Any]:
 
 @cache
 def _tables(variant: str) -> list[Any]:
-    """The Sobol points on the device of the variant that is set; uploaded once."""
     points = qmc.Sobol(2 * _PAIRS, scramble=False, bits=32).random_base2(_LOG2_LENGTH)
     return [mi.UInt32(column) for column in np.ascontiguousarray((points.T * 2.0**32).astype(np.uint32))]
 
@@ -148,8 +147,8 @@ atexit.register(_tables.cache_clear)
 class Sequences:
     """The sequences of N lanes, scrambled by a random digital shift each (Kollig and Keller 2002).
 
-    This is as unbiased as independent samples; but edges, textures, soft shadows and auxiliary features have
-    far less noise, and later samples fill the gaps that earlier ones left.
+    They are unbiased, but edges, soft shadows and auxiliary features have far less noise, and later samples
+    fill the gaps that earlier ones left.
 
     Attributes:
         tables: of `sobol_tables`.
@@ -221,8 +220,8 @@ class Lanes:
     def sequences(self, positions: FilmPositions, offset: mi.UInt32, pattern: mi.UInt32) -> Sequences:
         """The Sobol sequences of the lanes' samples, one for each position.
 
-        Dr.Jit integers say how many samples were drawn from each position's sequence before, the same number
-        for all or (N,), and select the scrambling (the pattern).
+        The offset is how many samples were drawn from each position's sequence before, one number for all or
+        (N,).
         """
         x, y = (dr.reinterpret_array(mi.UInt32, self._gathered(side)) for side in (positions.x, positions.y))
         if dr.width(offset) > 1:
@@ -239,7 +238,6 @@ class Lanes:
         return x, y
 
     def _gathered(self, values: _Values) -> _Values:
-        """For each lane, the value (one per position) of its position."""
         return dr.gather(type(values), values, self.index, self.active)
 
     def sums(self, channels: list[Any]) -> list[Any]:
@@ -268,14 +266,10 @@ class Lanes:
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples that are traced at once.
+    """Samples that are traced at once, of N film positions in a camera's view.
 
-    Attributes:
-        camera: the view; its film coordinates are those of the positions.
-        positions: N film positions.
-        spp: samples per position, one number for all or N.
-        offset: samples already drawn from each position's sequence, mi.UInt32 of width 1 or N.
-        pattern: seed of the sample positions.
+    There are `spp` of each position, one number for all or N, after `offset` others, mi.UInt32 of width 1 or
+    N; `pattern` is the seed of the sample positions.
     """
 
     camera: Camera

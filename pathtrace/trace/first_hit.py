@@ -81,12 +81,7 @@ class AuxiliaryFeatures:
 
 @dataclass(frozen=True)
 class Unseen:
-    """Surfaces that rays of a camera pass as if they were not there, as Mitsuba's integrators do.
-
-    Attributes:
-        lights: whether area lights are such, by `hide_emitters`.
-        boundaries: whether surfaces are that let all light pass, as those around participating media.
-    """
+    """What rays of a camera pass as if it were not there: area lights, and boundaries that pass all light."""
 
     lights: bool
     boundaries: bool
@@ -300,8 +295,8 @@ def _crossed(
 ) -> tuple[mi.Float, mi.Float, mi.Color3f]:
     """Follows N rays through a medium for _STEPS steps, which are their way each, of length `step`.
 
-    Returns the optical depth from then on; after how many steps it was half, _STEPS where that is not within;
-    and the albedo by the share of the light that is scattered.
+    Returns the optical depth from then on; after how many steps it was half, else _STEPS; and the albedo by
+    the share of the light that is scattered.
     """
     depth, steps, albedo = mi.Float(depth), mi.Float(_STEPS), mi.Color3f(0)
     going, number = active & (medium != None), mi.Float(0)  # noqa: E711

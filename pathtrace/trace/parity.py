@@ -62,10 +62,8 @@ class Parity:
 def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None = None) -> Parity:
     """Compares small pictures of a scene, as it was loaded from a source, with those of `mitsuba.render`.
 
-    Where Mitsuba does not have the integrator that the scene names, its `path` or `volpath` stands for that.
-
-    Raises:
-        UserError: Mitsuba cannot render the scene.
+    Mitsuba's `path` or `volpath` stands for an integrator that it does not have. UserError if it cannot
+    render.
     """
     causes, integrator, by = list[str](), None, "Mitsuba"
     if scene.moving is not None:

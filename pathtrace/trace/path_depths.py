@@ -36,8 +36,7 @@ _ROW = 16
 class DepthShares:
     """Radiance by the number of segments of paths, over all views.
 
-    It is (P, D) mean luminance of each of P independent parts; of paths of 1 to D segments, the last of which
-    stands for all that are longer.
+    It is (P, D) mean luminance of each of P independent parts, of paths of 1 to D and more segments.
     """
 
     radiance: NDArray[np.float64]
@@ -62,10 +61,9 @@ class DepthShares:
         return float(np.std(deviations, ddof=1) / np.sqrt(len(totals)))
 
     def depth_for(self, share: float) -> int:
-        """Least number of segments beyond which there is no more than a share of the radiance.
+        """Least number of segments beyond which there is no more than a share of the radiance, at most D.
 
-        The upper end of the measured share counts, two standard errors above its mean. Where paths of
-        MOST_SEGMENTS still bring more, that number.
+        The upper end of the measured share counts, two standard errors above its mean.
         """
         for segments in range(1, self.radiance.shape[1]):
             if self.beyond(segments) + 2 * self.error_beyond(segments) <= share:

@@ -62,7 +62,6 @@ def _denoised(radiance: mi.TensorXf, albedo: mi.TensorXf, normal: mi.TensorXf, q
 
 
 def _exponent(peak: float) -> int:
-    """The power of two that an image with this peak is divided by for OIDN."""
     return math.frexp(peak)[1] if 0 < peak < _LEAST_PEAK else 0
 
 

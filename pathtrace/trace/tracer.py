@@ -76,9 +76,8 @@ class Hits:
 
     Attributes:
         distance: (N,) float32, along the unit ray; inf where nothing is hit.
-        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface:
-            how far away things in a mirror appear to be; inf also for the sky in a flat mirror or behind a
-            pane.
+        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface;
+            inf also for the sky in a flat mirror or behind a pane.
         shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
     """
 
@@ -105,15 +104,14 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
-    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, paths of
-    the same kind that do not end in a cache stand in for it. Where there are participating media, it is
-    `volpath`, unbiased whatever else is asked for.
+    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, own paths
+    of the same kind stand in for it. Where there are participating media, it is `volpath`, always unbiased.
 
     Args:
         scene: the scene.
         roulette_depth: depth from which Russian roulette may end a path; that of the scene by default.
-        cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
-            noise, but biased. Without it, the result is unbiased.
+        cache: irradiance, in which paths end (pathtrace.trace.cached_paths): less noise in less time, but
+            biased.
         most_indirect: bound on what indirect light adds to a path at once (PathSettings), over 0: without
             fireflies, but biased.
     """
@@ -165,7 +163,7 @@ class Tracer:
         pattern: int | None = None,
         features: bool = False,
     ) -> Traced:
-        """Mean radiance at each position over samples spread evenly over its box.
+        """Mean radiance at each position over samples spread evenly over its box; ValueError without samples.
 
         Args:
             camera, positions: the view, and N film positions in its coordinates.
@@ -174,10 +172,8 @@ class Tracer:
             offset: samples already drawn from each position's sequence, one number for all or N; with the
                 same pattern, new samples fill the gaps between those.
             pattern: seed of the sample positions within the boxes; by default `seed`.
-            features: whether to return the auxiliary features of what the samples hit first as well, as
-                `auxiliary` does, at less than its cost.
-
-        ValueError if no samples are asked for.
+            features: whether to return auxiliary features of the samples as well, at less than `auxiliary`
+                costs.
         """
         pattern = seed if pattern is None else pattern
         batch = Batch.of(camera, positions, spp, offset, pattern)
@@ -227,7 +223,6 @@ class Tracer:
         return Hits(*(np.concatenate([getattr(hits, f.name) for hits in found]) for f in fields(Hits)))
 
     def _hits(self, camera: Camera, positions: FilmPositions) -> Hits:
-        """As `hits`, all positions at once."""
         x, y = positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
         ray, start = self._rays(opaque_camera(camera), x, y)
         found = first_hits(self.scene.traced, ray, mi.Bool(True), unseen=self._unseen)
@@ -351,7 +346,6 @@ class Tracer:
     def _auxiliary(
         self, scene: AnyScene, x: mi.Float, y: mi.Float, active: mi.Bool, *camera: mi.Float
     ) -> AuxiliaryFeatures:
-        """Auxiliary features of each lane; frozen."""
         ray, _ = self._rays(camera, x, y)
         seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
         features = self._seen(scene, seen, ray, active)
