@@ -179,9 +179,27 @@ class Nodes:
     def __init__(self, document: Document, animation: Animation):
         self.animation = animation
         self._items = document.section("nodes")
-        self._parents = _parents(document, self._items)
-        self._order = _parents_first(document, self._parents)
-        shown = set(_roots(document, self._parents))
+        self._parents: list[int | None] = [None] * len(self._items)
+        children = [[int(child) for child in item.get("children", [])] for item in self._items]
+        for parent, own in enumerate(children):
+            for child in own:
+                document.item("nodes", child, f"nodes[{parent}]")
+                if self._parents[child] is not None:
+                    raise document.refused(f"nodes[{child}] has two parents")
+                self._parents[child] = parent
+        self._order = [node for node, parent in enumerate(self._parents) if parent is None]
+        roots = self._order.copy()
+        for node in self._order:
+            self._order += children[node]
+        if lost := set(range(len(self._items))) - set(self._order):
+            raise document.refused(f"nodes[{min(lost)}] is its own ancestor")
+        if document.section("scenes"):
+            # The scene that a viewer is to show, the first one if the file does not say.
+            scene = document.item("scenes", document.tree.get("scene", 0), "scene")
+            roots = [int(node) for node in scene.get("nodes", [])]
+            for node in roots:
+                document.item("nodes", node, "scene")
+        shown = set(roots)
         shown.update(node for node in self._order if self._parents[node] in shown)
         self.shown = [node for node in self._order if node in shown]
 
@@ -225,37 +243,3 @@ class Nodes:
         if path == "rotation" and not found.any(axis=1).all():
             return np.array([[0.0, 0.0, 0.0, 1.0]])
         return found
-
-
-def _parents(document: Document, items: list[dict[str, Any]]) -> list[int | None]:
-    found: list[int | None] = [None] * len(items)
-    for parent, item in enumerate(items):
-        for child in item.get("children", []):
-            document.item("nodes", child, f"nodes[{parent}]")
-            if found[int(child)] is not None:
-                raise document.refused(f"nodes[{child}] has two parents")
-            found[int(child)] = parent
-    return found
-
-
-def _parents_first(document: Document, parents: list[int | None]) -> list[int]:
-    children: dict[int | None, list[int]] = {}
-    for node, parent in enumerate(parents):
-        children.setdefault(parent, []).append(node)
-    order = list(children.get(None, []))
-    for node in order:
-        order += children.get(node, [])
-    if len(order) < len(parents):
-        lost = min(set(range(len(parents))) - set(order))
-        raise document.refused(f"nodes[{lost}] is its own ancestor")
-    return order
-
-
-def _roots(document: Document, parents: list[int | None]) -> list[int]:
-    """Roots of the scene that a viewer is to show, the first one if the file does not say."""
-    if not document.section("scenes"):
-        return [node for node, parent in enumerate(parents) if parent is None]
-    scene = document.item("scenes", document.tree.get("scene", 0), "scene")
-    for node in scene.get("nodes", []):
-        document.item("nodes", node, "scene")
-    return [int(node) for node in scene.get("nodes", [])]

@@ -116,7 +116,17 @@ def read_document(file: Path) -> Document:
         except fastjsonschema.JsonSchemaException as error:
             raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
         for number, buffer in enumerate(document.section("buffers")):
-            document.buffers.append(_buffer(document, number, buffer, binary))
+            user, size = f"buffers[{number}]", buffer["byteLength"]
+            content = binary if "uri" not in buffer and number == 0 else None
+            if "uri" in buffer:
+                content = document.resource(buffer["uri"], user)
+            if content is None:
+                raise document.refused(
+                    f"{user} is missing: it has no uri, and the file has no binary chunk for it"
+                )
+            if len(content) < size:
+                raise document.refused(f"{user} has {len(content):,} bytes of {size:,}")
+            document.buffers.append(content)
         return document
 
 
@@ -163,19 +173,6 @@ def _schema() -> Callable[[Any], dict[str, Any]]:
     return fastjsonschema.compile(get_schema())
 
 
-def _buffer(document: Document, number: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
-    uri, user = buffer.get("uri"), f"buffers[{number}]"
-    if uri is not None:
-        content = document.resource(uri, user)
-    elif number == 0 and binary is not None:
-        content = binary
-    else:
-        raise document.refused(f"{user} is missing: it has no uri, and the file has no binary chunk for it")
-    if len(content) < buffer["byteLength"]:
-        raise document.refused(f"{user} has {len(content):,} bytes of {buffer['byteLength']:,}")
-    return content
-
-
 def read_array(document: Document, index: int, columns: int | tuple[int, ...], user: str) -> Array:
     """The (N, columns) numbers of an accessor; integers that stand for fractions are these fractions.
 
@@ -196,8 +193,14 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
     if "bufferView" in accessor:
         values = _viewed(document, accessor, kind, (count, found), name)
     if "sparse" in accessor:
-        values = values.copy()
-        _replace(document, accessor["sparse"], values, name)
+        # Elements in place of those that it is based on.
+        sparse, values = accessor["sparse"], values.copy()
+        changed, indices = int(sparse["count"]), sparse["indices"]
+        form = _TYPES.get(indices["componentType"], "<u4")
+        where = _viewed(document, indices, form, (changed, 1), name)[:, 0].astype(np.int64)
+        if where.min() < 0 or where.max() >= count:
+            raise document.refused(f"{name} replaces elements that it does not have")
+        values[where] = _viewed(document, sparse["values"], kind, (changed, found), name)
     numbers = values.astype(np.float64)
     if accessor.get("normalized") and values.dtype.kind != "f":
         # Integers as fractions of the largest one (3.6.2.2).
@@ -227,13 +230,3 @@ def _viewed(
     if start + (shape[0] - 1) * row + size * shape[1] > len(content):
         raise document.refused(f"{user} ends beyond its buffer view")
     return np.ndarray(shape, kind, content, start, (row, size))
-
-
-def _replace(document: Document, sparse: dict[str, Any], values: NDArray[Any], user: str) -> None:
-    """Writes the elements of a sparse accessor over those that it is based on."""
-    count, indices = int(sparse["count"]), sparse["indices"]
-    kind = _TYPES.get(indices["componentType"], "<u4")
-    where = _viewed(document, indices, kind, (count, 1), user)[:, 0].astype(np.int64)
-    if where.min() < 0 or where.max() >= len(values):
-        raise document.refused(f"{user} replaces elements that it does not have")
-    values[where] = _viewed(document, sparse["values"], values.dtype.str, (count, values.shape[1]), user)

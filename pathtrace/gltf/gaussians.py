@@ -48,33 +48,26 @@ def read_gaussians(document: Document, remarks: list[str]) -> list[StoredGaussia
     All have harmonics of the same degree; remarks get lines for the user. UserError if they are damaged.
     """
     with undamaged(document.file):
-        found = _shown(document, remarks)
+        nodes = Nodes(document, Animation())
+        to_world = nodes.to_world(np.zeros(1))
+        shown = [
+            (node, f"meshes[{mesh}].primitives[{number}]", part)
+            for node in nodes.shown
+            if (mesh := document.section("nodes")[node].get("mesh")) is not None
+            for number, part in enumerate(document.item("meshes", mesh, f"nodes[{node}]")["primitives"])
+        ]
+        if any(part["mode"] in _TRIANGLES for _, _, part in shown):
+            return []
+        found = [
+            _stored(document, part, user, to_world[node][0], remarks)
+            for node, user, part in shown
+            if GAUSSIANS in part.get("extensions", {})
+        ]
     if found and document.section("animations"):
         remarks.append("Gaussians stand still; animations are left out")
     count = max((part.sh.shape[1] for part in found), default=0)
-    missing = [count - part.sh.shape[1] for part in found]
-    return [
-        replace(part, sh=np.pad(part.sh, ((0, 0), (0, more), (0, 0))))
-        for part, more in zip(found, missing, strict=True)
-    ]
-
-
-def _shown(document: Document, remarks: list[str]) -> list[StoredGaussians]:
-    nodes = Nodes(document, Animation())
-    to_world = nodes.to_world(np.zeros(1))
-    shown = [
-        (node, f"meshes[{mesh}].primitives[{number}]", part)
-        for node in nodes.shown
-        if (mesh := document.section("nodes")[node].get("mesh")) is not None
-        for number, part in enumerate(document.item("meshes", mesh, f"nodes[{node}]")["primitives"])
-    ]
-    if any(part["mode"] in _TRIANGLES for _, _, part in shown):
-        return []
-    return [
-        _stored(document, part, user, to_world[node][0], remarks)
-        for node, user, part in shown
-        if GAUSSIANS in part.get("extensions", {})
-    ]
+    pads = [((0, 0), (0, count - part.sh.shape[1]), (0, 0)) for part in found]
+    return [replace(part, sh=np.pad(part.sh, pad)) for part, pad in zip(found, pads, strict=True)]
 
 
 def _stored(

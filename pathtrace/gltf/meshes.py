@@ -229,20 +229,18 @@ def write_mesh(
     Faces (F, 3) are indices of vertices, at positions (V, 3); normals (V, 3) are unit vectors; uvs (V, 2)
     have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear, Mitsuba's `vertex_color`.
     """
-    counts = len(positions), len(faces)
+    has_normals, has_uvs = normals is not None, uvs is not None
     mesh = mi.Mesh(
-        file.stem,
-        *counts,
-        has_vertex_normals=normals is not None,
-        has_vertex_texcoords=uvs is not None,
+        file.stem, len(positions), len(faces), has_vertex_normals=has_normals, has_vertex_texcoords=has_uvs
     )
     parameters = mi.traverse(mesh)
     parameters["faces"] = faces.astype(np.uint32).ravel()
-    values = {"vertex_positions": positions, "vertex_normals": normals, "vertex_texcoords": uvs}
-    for name, content in values.items():
+    given = {"vertex_positions": positions, "vertex_normals": normals, "vertex_texcoords": uvs}
+    for name, content in given.items():
         if content is not None:
             parameters[name] = content.astype(np.float32).ravel()
     parameters.update()
     if colours is not None:
-        mesh.add_attribute("vertex_color", 3, colours.ravel().tolist())
+        values = colours.astype(np.float32).ravel()
+        mesh.add_attribute("vertex_color", 3, values)  # type: ignore[arg-type]  # arrays as well
     write_whole(file, lambda part: mesh.write_ply(str(part)))
