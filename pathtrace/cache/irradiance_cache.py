@@ -46,8 +46,9 @@ class IrradianceCache:
     renewed: float = 1.0
 
     @staticmethod
-    def empty(grid: Grid, lights: int) -> IrradianceCache:
+    def empty(lights: int) -> IrradianceCache:
         """A cache that knows no cell, so that no path ends in it, of a scene with a number of lights."""
+        grid = Grid(np.zeros(3, dtype=np.float32), 1.0)
         cells = Cells.of(Points.none(), grid, lambda one, other, side: np.ones(len(one), dtype=bool))
         nothing = np.zeros(0, dtype=np.int64)
         dark = LightSamples(nothing, nothing, np.zeros(0, dtype=np.float32))

@@ -19,7 +19,7 @@ from pathtrace.cache.transport import Links, Patches, Rays, Transfer, Transport,
 from pathtrace.fill.gather import Seen, gather_direct, gather_seen
 from pathtrace.scene.instances import AnyScene
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.film import opaque_camera, ray_through
+from pathtrace.trace.film import opaque_camera, random_numbers, ray_through
 from pathtrace.trace.first_hit import first_hits
 
 # Bins along each side of the square of directions.
@@ -225,12 +225,12 @@ def fill_cache(
     total = _GENERATIONS + 2
     grid = Grid(cameras[0].position.astype(np.float32), _scale(scene, cameras[0]))
     if scene.optics.has_media:
-        return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
+        return IrradianceCache.empty(len(scene.mitsuba.emitters()))
     share = -(-points // (2 * len(cameras)))
     ends = [_path_ends(scene.traced, camera, share, _state(random)) for camera in cameras]
     parts = [joined_points(ends)]
     if not len(parts[0]):
-        return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
+        return IrradianceCache.empty(len(scene.mitsuba.emitters()))
     seen = [_seen_evenly(scene.traced, parts[0], random)]
     progress(1, total)
     for generation in range(1, _GENERATIONS):
@@ -280,8 +280,7 @@ def _scale(scene: Scene, camera: Camera) -> float:
 
 def _path_ends(scene: AnyScene, camera: Camera, count: int, seed: int) -> Points:
     """Where paths of a camera are scattered first, and where they arrive then."""
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), count)
+    sampler = random_numbers(dr.opaque(mi.UInt32, seed), count)
     width, height = dr.opaque(mi.Float, camera.width), dr.opaque(mi.Float, camera.height)
     ray = ray_through(opaque_camera(camera), sampler.next_1d() * width, sampler.next_1d() * height)
     seen = first_hits(scene, ray, mi.Bool(True)).last

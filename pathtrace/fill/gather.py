@@ -27,6 +27,7 @@ from pathtrace.cache.irradiance_cache import (
 from pathtrace.cache.light_selection import LightSamples, light_numbers
 from pathtrace.scene.instances import AnyScene, of_mitsuba
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.film import random_numbers
 
 # Samples of lights from each point; a square, for they are stratified.
 _STRATA = 2
@@ -239,8 +240,7 @@ def sampled_lights(
     Points are those from the first on of `total` places, given as their positions and normals.
     """
     lane = dr.arange(mi.UInt32, count * SAMPLES)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(state, count * SAMPLES)
+    sampler = random_numbers(state, count * SAMPLES)
     point = first + lane // SAMPLES
     active = mi.Bool(True) if total is None else point < total
     squares = stratified(sampler, lane), stratified(sampler, lane)
@@ -260,8 +260,7 @@ def gather_seen(
 
     With the same seed, ways through mirrors and glass are the same.
     """
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), len(point))
+    sampler = random_numbers(dr.opaque(mi.UInt32, seed), len(point))
     places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
     at = surfaces_at(places, mi.UInt32(point.astype(np.uint32)))
     found = followed(scene, sampler, at, mi.Point2f(square.T), mi.Bool(True))

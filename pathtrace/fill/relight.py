@@ -23,6 +23,7 @@ from pathtrace.fill.filling import segments_beyond_cache
 from pathtrace.fill.gather import SAMPLES, followed, sampled_lights, surfaces_at
 from pathtrace.scene.instances import AnyScene, FrozenWithScenes
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.film import random_numbers
 
 # Share of the mean light that a dark place is taken to have had: where it was dark, a lamp may now shine.
 _LEAST = 1e-3
@@ -193,8 +194,7 @@ class Resampling:
         """Light of lights that rays find; frozen."""
         point, square, weight = rays
         ray = first + dr.arange(mi.UInt32, self._sizes[1])
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, self._sizes[1])
+        sampler = random_numbers(state, self._sizes[1])
         active = ray < self._counts[1]
         start = dr.gather(mi.UInt32, point, ray, active)
         at = surfaces_at((position, normal), start, active)

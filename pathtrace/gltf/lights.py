@@ -73,24 +73,21 @@ def read_lights(document: Document, nodes: Nodes) -> list[Light]:
         number = reference.get("light")
         if not isinstance(number, int) or not 0 <= number < len(items):
             raise document.refused(f"nodes[{node}] has the light {number}; there are {len(items)}")
-        found.append(_light(document, node, items[number], f"lights[{number}]"))
+        item, user = items[number], f"lights[{number}]"
+        kind, spot = item.get("type"), item.get("spot") or {}
+        if kind not in ("point", "spot", "directional"):
+            raise document.refused(f"{user} is of the type {kind}; must be point, spot or directional")
+        colour = np.array(item.get("color", [1, 1, 1]), dtype=np.float64)
+        intensity = float(item.get("intensity", 1.0))
+        inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
+        is_cone = kind != "spot" or (inner >= 0 and 0 < outer <= _WIDEST)
+        if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not is_cone:
+            raise document.refused(f"{user} has a colour, intensity or cone that no light has")
+        # In float32, a quarter turn is a little more; and Mitsuba's light must have an edge.
+        outer = min(outer, np.pi / 2)
+        cone = float(np.degrees(min(inner, _SHARPEST * outer))), float(np.degrees(outer))
+        found.append(Light(node, kind, colour * intensity, cone))
     return found
-
-
-def _light(document: Document, node: int, item: dict[str, Any], user: str) -> Light:
-    kind, spot = item.get("type"), item.get("spot") or {}
-    if kind not in ("point", "spot", "directional"):
-        raise document.refused(f"{user} is of the type {kind}; must be point, spot or directional")
-    colour = np.array(item.get("color", [1, 1, 1]), dtype=np.float64)
-    intensity = float(item.get("intensity", 1.0))
-    inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
-    is_cone = kind != "spot" or (inner >= 0 and 0 < outer <= _WIDEST)
-    if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not is_cone:
-        raise document.refused(f"{user} has a colour, intensity or cone that no light has")
-    # In float32, a quarter turn is a little more; and Mitsuba's light must have an edge.
-    outer = min(outer, np.pi / 2)
-    inner = min(inner, _SHARPEST * outer)
-    return Light(node, kind, colour * intensity, (float(np.degrees(inner)), float(np.degrees(outer))))
 
 
 def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> float:
@@ -135,17 +132,10 @@ def _sensor(pose: Array, lens: dict[str, Any], bounds: Array) -> ET.Element:
     width = round(_HEIGHT * np.clip(lens.get("aspectRatio", 4 / 3), 1 / _MOST_ASPECT, _MOST_ASPECT))
     size = value("integer", "width", str(width)), value("integer", "height", str(_HEIGHT))
     film = plugin("film", "hdrfilm", *size, plugin("rfilter", "box"))
-    return plugin(
-        "sensor",
-        "perspective",
-        value("string", "fov_axis", "y"),
-        value("float", "fov", float(np.degrees(lens["yfov"]))),
-        value("float", "near_clip", near),
-        value("float", "far_clip", far),
-        to_world(_mitsuba_pose(pose)),
-        film,
-        id="camera",
-    )
+    fov = value("string", "fov_axis", "y"), value("float", "fov", float(np.degrees(lens["yfov"])))
+    clips = value("float", "near_clip", near), value("float", "far_clip", far)
+    parts = *fov, *clips, to_world(_mitsuba_pose(pose)), film
+    return plugin("sensor", "perspective", *parts, id="camera")
 
 
 def _mitsuba_pose(pose: Array) -> Array:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -88,20 +88,18 @@ class Textures:
     def radiance(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
         """A texture of linear radiance (H, W, 3), without a bound."""
         channels = {channel: radiance[..., i].astype(np.float32) for i, channel in enumerate("RGB")}
-        file = self._new_file("exr")
-        write_channels(self._folder / file, channels)
-        return self._element(name, info, file, raw=True)
+        return self._element(name, info, "exr", lambda file: write_channels(file, channels), raw=True)
 
     def _png(self, name: str, info: dict[str, Any], pixels: NDArray[np.uint8], raw: bool) -> ET.Element:
-        file, image = self._new_file("png"), PillowImage.fromarray(pixels)
-        write_whole(self._folder / file, lambda part: image.save(part, format="PNG"))
-        return self._element(name, info, file, raw)
+        save = lambda part: PillowImage.fromarray(pixels).save(part, format="PNG")  # noqa: E731
+        return self._element(name, info, "png", lambda file: write_whole(file, save), raw)
 
-    def _new_file(self, extension: str) -> str:
+    def _element(
+        self, name: str, info: dict[str, Any], kind: str, write: Callable[[Path], None], raw: bool
+    ) -> ET.Element:
         self._written += 1
-        return f"{_FOLDER}/{self._written}.{extension}"
-
-    def _element(self, name: str, info: dict[str, Any], file: str, raw: bool) -> ET.Element:
+        file = f"{_FOLDER}/{self._written}.{kind}"
+        write(self._folder / file)
         number = self._document.section("textures")[int(info["index"])].get("sampler")
         sampler = {} if number is None else self._document.item("samplers", number, "texture")
         wrap = value("string", "wrap_mode", _WRAP.get(sampler.get("wrapS", 10497), "repeat"))
@@ -136,8 +134,7 @@ class Materials:
         """The set of texture coordinates that its textures have."""
         item = self.item(material, user)
         pbr = item.get("pbrMetallicRoughness", {})
-        infos = [pbr.get("baseColorTexture"), pbr.get("metallicRoughnessTexture")]
-        infos.append(item.get("emissiveTexture"))
+        infos = pbr.get("baseColorTexture"), pbr.get("metallicRoughnessTexture"), item.get("emissiveTexture")
         sets = [int(info["texCoord"]) for info in infos if info is not None]
         if len(set(sets)) > 1:
             self._remark(f"{user}: textures share the coordinates of the first one")

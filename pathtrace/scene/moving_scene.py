@@ -105,10 +105,8 @@ class MovingScene:
             if isinstance(track, RigidTrack):
                 poses = np.stack([self._tracked.pose(track, time) for time in times])
                 centre = self._tracked.place.from_world(np.array(track.about))
-                plain = None if _is_textured(shape) else rest
-                if plain is not None and is_unchanged(
-                    plain, self._tracked.faces_of(name), centre, poses[:, :3, :3]
-                ):
+                mesh = () if rest is None else (rest, self._tracked.faces_of(name))
+                if mesh and not _is_textured(shape) and is_unchanged(*mesh, centre, poses[:, :3, :3]):
                     # Its highlights stay where they are while it turns.
                     poses[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
                     poses[:, :3, :3] = np.eye(3)
@@ -117,7 +115,11 @@ class MovingScene:
                 at = self._tracked.deforming(name, rest, track)
                 moved = np.stack([at(time) for time in times])
                 if len(rest) < _COARSE:
-                    rest, moved = _with_points(rest, moved, self._tracked.faces_of(name))
+                    # With points on the faces between the vertices.
+                    corners, shares = spread_over_faces(rest, self._tracked.faces_of(name), _COARSE)
+                    between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
+                    rest = np.concatenate([rest, np.einsum("nc,nci->ni", shares, rest[corners])])
+                    moved = np.concatenate([moved, between], axis=1)
                 found += courses_of_pieces(name, number, rest, moved)
         return found
 
@@ -189,9 +191,7 @@ class _Tracked:
         """What a track makes of a shape's, or light's, parameters; `rest` are the vertices of a mesh."""
         key = self._key(name, "shape or light")
         if rest is not None:
-            if isinstance(track, RigidTrack):
-                return self._rigid_mesh(key, rest, track)
-            return self._deforming_mesh(name, key, self.deforming(name, rest, track))
+            return self._mesh_part(name, key, track, rest)
         if not isinstance(track, RigidTrack):
             raise self._refused(name, "it has no vertices; must have keyframes")
         # Shapes and lights without vertices.
@@ -204,34 +204,24 @@ class _Tracked:
             return lambda time: {position: (self.pose(track, time) @ [*point, 1])[:3]}
         raise self._refused(name, "it has no place that could change")
 
-    def _deforming_mesh(self, name: str, key: str, at: Callable[[float], Array]) -> _Part:
+    def _mesh_part(self, name: str, key: str, track: ShapeTrack, rest: Array) -> _Part:
+        """What a track makes of the vertices and, if it has some, the normals of a mesh."""
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
-        if not self._has_normals(key):
-            return lambda time: {positions: at(time).ravel()}
+        upright = _rows(self._parameters[normals]) if self._has(normals) else np.zeros((0, 3))
         faces = self.faces_of(name)
+        at = None if isinstance(track, RigidTrack) else self.deforming(name, rest, track)
 
         def moved(time: float) -> dict[str, Any]:
-            vertices = at(time)
-            # Mitsuba would put its own into other memory.
-            return {positions: vertices.ravel(), normals: _vertex_normals(vertices, faces).ravel()}
+            if isinstance(track, RigidTrack):
+                pose = self.pose(track, time)
+                vertices, turned = rest @ pose[:3, :3].T + pose[:3, 3], upright @ pose[:3, :3].T
+            elif at is not None:
+                vertices = at(time)
+                # Mitsuba would put its own into other memory.
+                turned = _vertex_normals(vertices, faces) if len(upright) else upright
+            return {positions: vertices.ravel(), **({normals: turned.ravel()} if len(turned) else {})}
 
         return moved
-
-    def _has_normals(self, key: str) -> bool:
-        return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
-
-    def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> _Part:
-        positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
-        upright = _rows(self._parameters[normals]) if self._has_normals(key) else None
-
-        def at(time: float) -> dict[str, Any]:
-            pose = self.pose(track, time)
-            moved = {positions: (rest @ pose[:3, :3].T + pose[:3, 3]).ravel()}
-            if upright is not None:
-                moved[normals] = (upright @ pose[:3, :3].T).ravel()
-            return moved
-
-        return at
 
     def deforming(self, name: str, rest: Array, track: Formula | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
@@ -300,14 +290,6 @@ def _is_textured(shape: mi.Shape) -> bool:
     bsdf = shape.bsdf()
     images = bsdf is not None and any(key.endswith(".data") for key in mi.traverse(bsdf).properties)
     return images or any("_color" in key for key in mi.traverse(shape).properties)
-
-
-def _with_points(rest: Array, moved: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Vertices (V, 3) at rest and (T, V, 3) moved, with points on the faces between them."""
-    corners, shares = spread_over_faces(rest, faces, _COARSE)
-    between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
-    rest_between = np.einsum("nc,nci->ni", shares, rest[corners])
-    return np.concatenate([rest, rest_between]), np.concatenate([moved, between], axis=1)
 
 
 def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:

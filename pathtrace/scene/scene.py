@@ -94,15 +94,10 @@ def with_ordered_shapes(scene: mi.Scene) -> tuple[Any, dict[str, str]]:
     # Area lights belong to their shapes.
     emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
     parts |= {f"emitter_{number}": emitter for number, emitter in enumerate(emitters)}
-    shapes = sorted(scene.shapes(), key=_sort_key)
-    parts |= {f"shape_{number:06}": shape for number, shape in enumerate(shapes)}
+    key = lambda shape: (*shape.bbox().min, *shape.bbox().max, shape.primitive_count())  # noqa: E731
+    parts |= {f"shape_{number:06}": shape for number, shape in enumerate(sorted(scene.shapes(), key=key))}
     names = {part.id(): name for name, part in parts.items()}
     return mi.load_dict({"type": "scene", **parts}, optimize=False), names
-
-
-def _sort_key(shape: mi.Shape) -> tuple[float, ...]:
-    box = shape.bbox()
-    return (*box.min, *box.max, shape.primitive_count())
 
 
 # Items of a plan that concern paths.
@@ -245,14 +240,15 @@ def _loaded(
         # Forests and frames of the same scene in other coordinates do not fit it.
         fingerprint = text_fingerprint(f"{fingerprint} at {place.origin} in {place.unit}")
     optics = Optics.of(loaded, sensor, camera, description.hides_emitters)
-    left_out = (
-        *(f"{wrong}; it is left out" for wrong in degenerate),
-        *_left_out(loaded, sensor, wanted, optics),
-    )
+    wrong = [f"{each}; it is left out" for each in degenerate]
+    left_out = *wrong, *_left_out(loaded, sensor, wanted, optics)
     for remark in left_out:
         _say(f"{content.name}: {remark}")
     if thin_glass:
-        _require_panes(loaded, optics, content.name)
+        why = "not where there are participating media" if optics.has_media else ""
+        if why or not with_thin_glass(loaded):
+            why = why or "the scene has no panes of glass"
+            raise UserError(f"{content.name}: thin glass: {why}; leave it out")
         fingerprint = text_fingerprint(f"{fingerprint} with thin glass")
     seen = "" if sensor is perspective_sensor(loaded, content.name) else f" by {wanted}"
     if text := optics.text + seen:
@@ -292,13 +288,6 @@ def _described(
     beside = path.with_suffix(_MOTION)
     motion = beside if motion is None and text is None and beside.is_file() else motion
     return content, name, description, motion
-
-
-def _require_panes(loaded: mi.Scene, optics: Optics, source: str) -> None:
-    if optics.has_media:
-        raise UserError(f"{source}: thin glass: not where there are participating media; leave it out")
-    if not with_thin_glass(loaded):
-        raise UserError(f"{source}: thin glass: the scene has no panes of glass; leave it out")
 
 
 def _left_out(loaded: mi.Scene, sensor: mi.Sensor, wanted: str | None, optics: Optics) -> Iterator[str]:

@@ -80,7 +80,7 @@ class References:
         self.names: list[tuple[str, Path]] = []
         self.folders: list[Path] = []
         self.plugins: set[str] = set()
-        self.max_depth: str | None = None
+        self.max_depth = ""
         self.hides_emitters = False
         self._parameters: dict[str, str] = {}
         self._includes = 0
@@ -101,12 +101,15 @@ class References:
         of_integrators = {part for one in root.findall("integrator") for part in one.iter()}
         for element in root.iter():
             values = {self._replaced(key): self._replaced(value) for key, value in element.items()}
+            value = values.get("value", "")
             if element in of_integrators:
-                self._ask(element.tag, values)
+                asked = element.tag, values.get("name")
+                self.max_depth = value.strip() if asked == ("integer", "max_depth") else self.max_depth
+                hides = asked == ("boolean", "hide_emitters") and value.strip().lower() == "true"
+                self.hides_emitters |= hides
                 if not (depth or self._with_integrator):
                     continue
             self.plugins.update({values["type"]} if "type" in values else ())
-            value = values.get("value", "")
             if element.tag == "default":
                 # Mitsuba keeps the first definition.
                 self._parameters.setdefault(values.get("name", ""), value)
@@ -118,13 +121,6 @@ class References:
                 self.names.append((value, folder))
             elif "filename" in values:
                 self.names.append((values["filename"], folder))
-
-    def _ask(self, tag: str, values: dict[str, str]) -> None:
-        name, value = values.get("name"), values.get("value", "").strip()
-        if tag == "integer" and name == "max_depth":
-            self.max_depth = value
-        elif tag == "boolean" and name == "hide_emitters":
-            self.hides_emitters |= value.lower() == "true"
 
     def _include(self, name: str, folder: Path, depth: int) -> None:
         self._includes += 1
@@ -267,11 +263,7 @@ def read_description(path: Path, given: str | None = None, with_integrator: bool
         if (found := path.parent / element.get("value", "")).is_dir():
             element.set("value", str(found))
     balance_xml(root)
-    text, depth = ET.tostring(root, encoding="unicode"), _depth(references.max_depth)
+    text, asked = ET.tostring(root, encoding="unicode"), references.max_depth
+    # Mitsuba's "no limit" is -1; longer numbers are none, either.
+    depth = int(asked) if re.fullmatch(r"\d{1,9}", asked) and int(asked) else -1
     return SceneDescription(text, fingerprint, depth, references.hides_emitters)
-
-
-def _depth(asked: str | None) -> int:
-    """Path depth of an integrator that asks for one; -1 is Mitsuba's "no limit"."""
-    # Longer numbers are no limit, either.
-    return int(asked) if asked and re.fullmatch(r"\d{1,9}", asked) and int(asked) > 0 else -1

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -110,8 +110,9 @@ def clipped(ray: mi.Ray3f, camera: tuple[Any, ...], clips: tuple[float, float]) 
     return within, near
 
 
-# Samples of N film positions: one number for all, or one of each.
+# Numbers of N film positions: of their samples, and of those drawn before; one for all, or one of each.
 SampleCounts = int | NDArray[np.int64] | Counts
+Offset: TypeAlias = "int | NDArray[np.integer] | mi.UInt32"
 
 # After so many points a sequence restarts, scrambled otherwise.
 _LOG2_LENGTH = 12
@@ -283,7 +284,7 @@ class Batch:
         camera: Camera,
         positions: FilmPositions,
         spp: SampleCounts,
-        offset: int | NDArray[np.integer] | mi.UInt32,
+        offset: Offset,
         pattern: int,
     ) -> Batch:
         """A batch by numbers of samples as callers have them, in Python, NumPy or Dr.Jit."""
@@ -360,6 +361,13 @@ def joined_channels(parts: list[list[Any]]) -> list[Any]:
     channels = [dr.concat(of_parts) for of_parts in zip(*parts, strict=True)]
     dr.eval(channels)
     return channels
+
+
+def random_numbers(state: mi.UInt32, lanes: int) -> mi.Sampler:
+    """Independent random numbers of some lanes, of a state of width 1."""
+    sampler: mi.Sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(state, lanes)
+    return sampler
 
 
 def mixed_seeds(entropy: int | list[int]) -> mi.UInt32:

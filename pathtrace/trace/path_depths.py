@@ -12,11 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import LONGEST, DepthBins, PathSettings, path_radiance
-from pathtrace.trace.film import Sequences, opaque_camera, ray_through, sobol_tables
+from pathtrace.trace.film import (
+    Sequences,
+    mixed_seeds,
+    opaque_camera,
+    random_numbers,
+    ray_through,
+    sobol_tables,
+)
 
 # Path depth without a bound.
 UNBOUNDED = -1
@@ -115,10 +121,8 @@ def _traced(
     Also returns what the paths of each pair bring and cost. All in one launch, since with hundreds of lights
     recording one takes ten times as long as its paths.
     """
-    state = int(np.random.SeedSequence(seed).generate_state(1)[0])
-    sampler, total = mi.load_dict({"type": "independent"}), count * len(cameras) * len(depths)
-    sampler.seed(dr.opaque(mi.UInt32, state), total)
-    lane = dr.arange(mi.UInt32, total)
+    state, total = mixed_seeds(seed), count * len(cameras) * len(depths)
+    sampler, lane = random_numbers(state, total), dr.arange(mi.UInt32, total)
     group = lane // dr.opaque(mi.UInt32, count * len(cameras))
     number = lane // dr.opaque(mi.UInt32, count) - group * len(cameras)
     of = lambda kind, values, index: dr.gather(kind, kind(list(values)), index)  # noqa: E731
@@ -126,13 +130,13 @@ def _traced(
     y = sampler.next_1d() * of(mi.Float, (camera.height for camera in cameras), number)
     vectors = (dr.concat([opaque_camera(camera)[0] for camera in cameras]),)
     ray = ray_through(vectors, x, y, number)
-    sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
+    sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, state))
     most, roulette = (
         of(mi.UInt32, (depth if depth >= 0 else LONGEST for depth in each), group)
         for each in zip(*depths, strict=True)
     )
     settings = PathSettings(most, roulette, 1, scene.thin_glass)
-    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
+    empty = IrradianceCache.empty(len(scene.mitsuba.emitters()))
     surface, active = scene.traced.ray_intersect(ray), mi.Bool(True)
     # As many groups for all, since their number is part of the kernel.
     bins, known = DepthBins(MOST_SEGMENTS, _PARTS, group), empty.arrays(scene.mitsuba)

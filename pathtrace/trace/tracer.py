@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
 from pathtrace.scene.instances import AnyScene, FrozenWithScenes, registered
@@ -24,12 +23,14 @@ from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import (
     Batch,
     FilmPositions,
+    Offset,
     SampleCounts,
     Sequences,
     clipped,
     joined_channels,
     mixed_seeds,
     opaque_camera,
+    random_numbers,
     ray_through,
 )
 from pathtrace.trace.first_hit import (
@@ -52,8 +53,6 @@ _BEYOND = 1.001
 _UNBENT = 1e-5
 # Shadow rays at the first surface of paths that end in a cache.
 _SHADOW_RAYS = 2
-# Of a cache without cells.
-_ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
 # With fewer samples, noise of auxiliary features shows in what they guide; each costs a twentieth of a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 
@@ -96,11 +95,6 @@ def auxiliary_spp(spp: int) -> int:
     return min(max(spp, _MIN_AUXILIARY_SPP), _MAX_AUXILIARY_SPP)
 
 
-def features_along(spp: int) -> bool:
-    """Whether radiance is traced with the auxiliary features of each of `spp` samples, and not apart."""
-    return spp <= _MAX_AUXILIARY_SPP
-
-
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
@@ -127,9 +121,8 @@ class Tracer:
         self.scene = scene
         depth, roulette = scene.max_depth, roulette_depth or scene.roulette_depth
         kind, hides = "volpath" if scene.optics.has_media else "path", scene.optics.hides_emitters
-        self._path = mi.load_dict(
-            {"type": kind, "max_depth": depth, "rr_depth": roulette, "hide_emitters": hides}
-        )
+        paths = {"type": kind, "max_depth": depth, "rr_depth": roulette, "hide_emitters": hides}
+        self._path = mi.load_dict(paths)
         self._clear, self._unseen = has_clear_surfaces(scene.mitsuba), Unseen.of(scene.mitsuba, hides)
         # What moves: the numbers by which kernels know a shape, and which samples of it have.
         moving = [] if scene.moving is None else scene.moving.movers()
@@ -140,12 +133,11 @@ class Tracer:
         shadow_rays = _SHADOW_RAYS if self._relit else 1
         if (scene.thin_glass or scene.instanced or most_indirect is not None) and not scene.optics.has_media:
             # Mitsuba's `path` has no shadow rays that pass glass, no bound, and code for each instance.
-            known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
+            known = known or IrradianceCache.empty(len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
         self._settings = PathSettings(depth, roulette, shadow_rays, scene.thin_glass, most_indirect)
-        self._trace_radiance = FrozenWithScenes(
-            self._radiance if self._known is None else self._cached_radiance
-        )
+        radiance = self._radiance if self._known is None else self._cached_radiance
+        self._trace_radiance = FrozenWithScenes(radiance)
         self._trace_auxiliary = FrozenWithScenes(self._auxiliary)
 
     def relight(self, cache: IrradianceCache) -> None:
@@ -159,7 +151,7 @@ class Tracer:
         positions: FilmPositions,
         spp: SampleCounts = 1,
         seed: int = 0,
-        offset: int | NDArray[np.integer] | mi.UInt32 = 0,
+        offset: Offset = 0,
         pattern: int | None = None,
         features: bool = False,
     ) -> Traced:
@@ -189,7 +181,7 @@ class Tracer:
     ) -> tuple[Traced, AuxiliaryFeatures]:
         """`trace`, and auxiliary features of as many samples as go with `spp`."""
         wanted = auxiliary_spp(spp)
-        traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
+        traced = self.trace(camera, positions, spp, seed, features=spp <= _MAX_AUXILIARY_SPP)
         if traced.features is None:
             return traced, self.auxiliary(camera, positions, wanted, seed)
         if spp == wanted:
@@ -198,12 +190,7 @@ class Tracer:
         return traced, traced.features.averaged(more, (wanted - spp) / wanted)
 
     def auxiliary(
-        self,
-        camera: Camera,
-        positions: FilmPositions,
-        spp: int,
-        pattern: int,
-        offset: int | NDArray[np.integer] | mi.UInt32 = 0,
+        self, camera: Camera, positions: FilmPositions, spp: int, pattern: int, offset: Offset = 0
     ) -> AuxiliaryFeatures:
         """Auxiliary features at each position.
 
@@ -224,7 +211,7 @@ class Tracer:
 
     def _hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         x, y = positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
-        ray, start = self._rays(opaque_camera(camera), x, y)
+        ray, start = self._clipped(opaque_camera(camera), x, y)
         found = first_hits(self.scene.traced, ray, mi.Bool(True), unseen=self._unseen)
         distance = dr.select(found.surface.is_valid(), found.surface.t + start, dr.inf)
         shapes = mi.UInt32(dr.reinterpret_array(mi.UInt32, found.surface.shape))
@@ -304,20 +291,10 @@ class Tracer:
             sums = lanes.sums(sums)
         return sums, [dr.gather(mi.Float, channel, lanes.first) for channel in first]
 
-    def _radiance(
-        self,
-        features: bool,
-        scene: AnyScene,
-        state: mi.UInt32,
-        x: mi.Float,
-        y: mi.Float,
-        active: mi.Bool,
-        *camera: mi.Float,
-    ) -> list[Any]:
-        """Radiance of each lane, and what it sees first; frozen."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, dr.width(x))
-        ray, _ = self._rays(camera, x, y)
+    def _radiance(self, features: bool, scene: AnyScene, state: mi.UInt32, *lanes: dr.ArrayBase) -> list[Any]:
+        """Radiance of each lane, and what it sees first; frozen, with the lanes of `Batch.rays`."""
+        ray, active = self._rays(*lanes)
+        sampler = random_numbers(state, dr.width(active))
         radiance, _, _ = self._path.sample(scene, sampler, ray, self.scene.optics.medium, active)
         seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen) if features else None
         return self._evaluated(scene, radiance, sampler, seen, ray, active)
@@ -329,35 +306,31 @@ class Tracer:
         state: mi.UInt32,
         cache: CacheArrays,
         sequences: Sequences,
-        x: mi.Float,
-        y: mi.Float,
-        active: mi.Bool,
-        *camera: mi.Float,
+        *lanes: dr.ArrayBase,
     ) -> list[Any]:
         """Radiance of each lane by paths that end in the cache, and what it sees first; frozen."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, dr.width(x))
-        ray, _ = self._rays(camera, x, y)
+        ray, active = self._rays(*lanes)
+        sampler = random_numbers(state, dr.width(active))
         seen = auxiliary_hits(scene, ray, active, self._clear and features, self._unseen)
         shown = active & seen.surface.is_valid() if self.scene.optics.hides_emitters else active
         paths = scene, sampler, ray, seen.surface, shown, self._settings, sequences, cache
         return self._evaluated(scene, path_radiance(*paths), sampler, seen if features else None, ray, active)
 
-    def _auxiliary(
-        self, scene: AnyScene, x: mi.Float, y: mi.Float, active: mi.Bool, *camera: mi.Float
-    ) -> AuxiliaryFeatures:
-        ray, _ = self._rays(camera, x, y)
+    def _auxiliary(self, scene: AnyScene, *lanes: dr.ArrayBase) -> AuxiliaryFeatures:
+        ray, active = self._rays(*lanes)
         seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
         features = self._seen(scene, seen, ray, active)
         dr.eval(features)
         return features
 
-    def _rays(self, camera: tuple[Any, ...], x: mi.Float, y: mi.Float) -> tuple[Any, Any]:
+    def _rays(self, x: mi.Float, y: mi.Float, active: mi.Bool, *camera: mi.Float) -> tuple[mi.Ray3f, mi.Bool]:
+        ray, _ = self._clipped(camera, x, y)
+        return ray, active
+
+    def _clipped(self, camera: tuple[mi.Float, ...], x: mi.Float, y: mi.Float) -> tuple[mi.Ray3f, mi.Float]:
         """Rays through film coordinates between the clipping planes, and how far from the eye they start."""
-        ray = ray_through(camera, x, y)
-        if self.scene.optics.clips is None:
-            return ray, mi.Float(0)
-        return clipped(ray, camera, self.scene.optics.clips)
+        ray, clips = ray_through(camera, x, y), self.scene.optics.clips
+        return (ray, mi.Float(0)) if clips is None else clipped(ray, camera, clips)
 
     def _evaluated(
         self,
