@@ -46,6 +46,11 @@ class Points:
     def __len__(self) -> int:
         return len(self.position)
 
+    @property
+    def arrays(self) -> tuple[mi.Point3f, mi.Normal3f]:
+        """Positions and normals as Dr.Jit arrays."""
+        return mi.Point3f(self.position.T), mi.Normal3f(self.normal.T)
+
     def take(self, chosen: NDArray[Any]) -> Points:
         """Some of the points, by index or mask."""
         return Points(self.position[chosen], self.normal[chosen])

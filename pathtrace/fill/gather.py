@@ -216,12 +216,9 @@ class Seen:
 
 
 def gather_direct(scene: AnyScene, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
-    """Irradiance (N, 3) from the lights of a Mitsuba scene at N points, by SAMPLES samples of them at each.
-
-    Also returns the samples; same seed, same samples.
-    """
-    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
-    *means, sampled, registered = sampled_lights(scene, dr.opaque(mi.UInt32, seed), places, len(points))
+    """Irradiance (N, 3) at points from lights, and SAMPLES samples of these at each; same seed, same ones."""
+    state = dr.opaque(mi.UInt32, seed)
+    *means, sampled, registered = sampled_lights(scene, state, points.arrays, len(points))
     light = light_numbers(scene)[registered.numpy()]
     samples = LightSamples(np.arange(len(light)) // SAMPLES, light, sampled.numpy())
     return np.stack([channel.numpy() for channel in means], axis=1), samples
@@ -256,27 +253,16 @@ def sampled_lights(
 def gather_seen(
     scene: AnyScene, points: Points, point: NDArray[np.int64], square: NDArray[np.float32], seed: int
 ) -> Seen:
-    """Follows M rays from points of a Mitsuba scene; `point` and `square` are those of `Seen`.
-
-    With the same seed, ways through mirrors and glass are the same.
-    """
+    """Follows M rays from points; `point` and `square` are those of `Seen`. Same seed, same ways."""
     sampler = random_numbers(dr.opaque(mi.UInt32, seed), len(point))
-    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
-    at = surfaces_at(places, mi.UInt32(point.astype(np.uint32)))
+    at = surfaces_at(points.arrays, mi.UInt32(point.astype(np.uint32)))
     found = followed(scene, sampler, at, mi.Point2f(square.T), mi.Bool(True))
-    position, side = found.hit.p, mi.Vector3f(found.side)
-    flags = found.passed, found.valid, found.shiny, found.bounces
-    dr.eval(found.radiance, position, side, *flags, found.reflectance)
+    hits, counts = (found.hit.p, mi.Vector3f(found.side)), (found.passed, found.bounces)
+    dr.eval(hits, counts, found.valid, found.shiny, found.radiance, found.reflectance)
+    passed, bounces = (count.numpy().astype(np.int64) for count in counts)
     return Seen(
-        point,
-        square,
-        found.radiance.numpy().T,
-        found.passed.numpy().astype(np.int64),
-        Points(position.numpy().T, side.numpy().T),
-        found.valid.numpy(),
-        found.shiny.numpy(),
-        found.bounces.numpy().astype(np.int64),
-        found.reflectance.numpy().T,
+        *(point, square, found.radiance.numpy().T, passed, Points(*(part.numpy().T for part in hits))),
+        *(found.valid.numpy(), found.shiny.numpy(), bounces, found.reflectance.numpy().T),
     )
 
 

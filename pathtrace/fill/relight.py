@@ -88,12 +88,8 @@ class Spreading:
 
     @property
     def steps(self) -> int:
-        """Steps after which nothing is left of the light before `restart`."""
+        """Steps after which nothing is left of the light before a restart."""
         return -(-(len(self._known) - 1) // max(self._share, 1))
-
-    def restart(self) -> None:
-        """Lets the next steps begin with the first segment."""
-        self._next = 1
 
     def step(self) -> None:
         """Passes light on by the next few segments; after the last one, by the first ones again."""
@@ -103,9 +99,10 @@ class Spreading:
             self._known[self._next] = self._sent[min(self._next, len(self._sent) - 1)] + received
             self._next += 1
 
-    def light(self, sent: NDArray[np.float32]) -> None:
-        """Sets the light (S, C, 3) that the next steps pass on."""
+    def light(self, sent: NDArray[np.float32], restart: bool = False) -> None:
+        """Sets the light (S, C, 3) that the next steps pass on, from the first segment if restarted."""
         self._sent, self._known[0] = sent, sent[0]
+        self._next = 1 if restart else self._next
 
     def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
         """(K, c, 3) of cells given by their indices, as in `IrradianceCache`."""
@@ -149,8 +146,7 @@ class Resampling:
         self._parts, self._next, self._random = parts, 0, np.random.default_rng(seed)
         self._counts = len(transfer.points), len(transfer.rays)
         self._sizes = tuple(-(-count // parts) for count in self._counts)
-        position, normal = transfer.points.position, transfer.points.normal
-        self._points = mi.Point3f(position.T), mi.Normal3f(normal.T)
+        self._points = transfer.points.arrays
         # One more ray, since kernels cannot read from an empty array.
         self._rays = (
             mi.UInt32(np.append(transfer.rays.point, np.int32(0)).astype(np.uint32)),
@@ -237,9 +233,8 @@ class Relighting:
         self._begin()
 
     def _begin(self) -> None:
-        self._learning = LightLearning(self._cache.lights)
+        self._learning, self._done = LightLearning(self._cache.lights), 0
         self._spreading: Spreading | None = None
-        self._done = 0
 
     @property
     def renewed(self) -> float:
@@ -255,27 +250,22 @@ class Relighting:
         if self._spreading is not None:
             self._spreading.step()
         if part is not None:
-            self._add(part)
+            self._direct.add(self._transfer.patch[part.points], part.direct())
+            self._reflected.add(self._transfer.ray_regions[part.rays], part.reflected())
+            self._learning.add(part.lights(), self._rows[part.points])
         self._done += 1
         irradiance = self._spread().irradiance(self._cells)
         lights = self._learning.choice()
         self._cache = replace(self._cache, irradiance=irradiance, lights=lights, renewed=self.renewed)
         return self._cache
 
-    def _add(self, part: Part) -> None:
-        self._direct.add(self._transfer.patch[part.points], part.direct())
-        self._reflected.add(self._transfer.ray_regions[part.rays], part.reflected())
-        self._learning.add(part.lights(), self._rows[part.points])
-
     def _spread(self) -> Spreading:
         """The light on its way, with what is known of direct light now; all the way at first."""
+        if self._spreading is not None and self._done > PARTS:
+            return self._spreading
+        light = self._transfer.of_cells(self._direct.sums(), self._reflected.sums())
         if self._spreading is None:
-            self._spreading = Spreading(self._transfer.transport, self._light(), self._most)
-        elif self._done <= PARTS:
-            self._spreading.light(self._light())
-            if self._done == PARTS:
-                self._spreading.restart()
+            self._spreading = Spreading(self._transfer.transport, light, self._most)
+        else:
+            self._spreading.light(light, restart=self._done == PARTS)
         return self._spreading
-
-    def _light(self) -> NDArray[np.float32]:
-        return self._transfer.of_cells(self._direct.sums(), self._reflected.sums())
