@@ -107,9 +107,10 @@ class PathRegion(DrawnRegion):
         place = scene.place
         self._looks = looks_of([place.camera(scene.camera.at(pose)) for pose in self._poses])
         distance = self._looks.probe(surfaces, scene.camera, 12)
-        if not np.isfinite(distance).any():
+        seen = distance[np.isfinite(distance)]
+        if not len(seen):
             raise UserError(f"{file}: no frame of the path sees a surface")
-        self._scale = float(np.median(distance[np.isfinite(distance)]))
+        self._scale = float(np.median(seen))
         self._patch, self._near = _PATCH * self._scale, _NEAR * self._scale
         self.radius = _RADIUS * self._scale if radius is None else radius / place.unit
         self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)

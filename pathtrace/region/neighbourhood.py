@@ -107,9 +107,8 @@ class Neighbourhood:
 
         sequence = qmc.Halton(5, seed=seed)
         points = (sequence.random(1)[0] for _ in range(count * _TRIES_PER_VIEW))
-        views = (
-            _moved(self.home, _in_ball(u[:3]) * self.radius, *((2 * u[3:] - 1) * self.share)) for u in points
-        )
+        turns = lambda u: (2 * u[3:] - 1) * self.share  # noqa: E731
+        views = (_moved(self.home, _in_ball(u[:3]) * self.radius, *turns(u)) for u in points)
         found = list(islice(filter(self._is_usable, views), count))
         if len(found) < count:
             raise UserError(
@@ -123,18 +122,17 @@ class Neighbourhood:
 
         It sways as far as there is free space: a scene that leaves none has a camera that stands still.
         """
+        axes = self.home.camera_to_world[:3, :3]
         for size in _SWAYS:
-            found = [self._swayed(2 * np.pi * share, size) for share in shares]
-            if all(self._is_usable(view) for view in found):
+            found = []
+            for turn in 2 * np.pi * np.asarray(shares):
+                across, down, ahead = np.sin(turn), np.sin(2 * turn) / 2, np.cos(turn) / 4
+                offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
+                # It looks back to what it sees.
+                found.append(_moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0))
+            if all(map(self._is_usable, found)):
                 return found
         return [self.home for _ in shares]
-
-    def _swayed(self, turn: float, size: float) -> Camera:
-        """The scene's own camera at an angle of the path, on which it looks back to what it sees."""
-        axes = self.home.camera_to_world[:3, :3]
-        across, down, ahead = np.sin(turn), np.sin(2 * turn) / 2, np.cos(turn) / 4
-        offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
-        return _moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0)
 
     def _is_usable(self, candidate: Camera) -> bool:
         return (

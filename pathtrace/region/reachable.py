@@ -145,10 +145,8 @@ class FreeSpace:
 
     def _flooded(self) -> _Nodes:
         """(N, 3) nodes that can be reached, in the order of steps."""
-        known = _key(np.zeros((0, 3), dtype=np.int64))
-        front = self._first()
-        reached = [front]
-        total = len(front)
+        known, front = np.zeros(0, dtype=np.int64), self._first()
+        reached, total = [front], len(front)
         while len(front):
             known = np.union1d(known, _key(front))
             start = np.repeat(front, len(_STEPS), axis=0)
@@ -172,8 +170,8 @@ class FreeSpace:
         """(N, 3) nodes around the camera to which it can step."""
         axis = range(-_FIRST_STEPS, _FIRST_STEPS + 1)
         nodes = np.array(list(itertools.product(axis, repeat=3)), dtype=np.int64)
-        nodes = nodes[self._is_within(nodes)]
-        nodes = nodes[self._is_free(nodes)]
+        for is_good in (self._is_within, self._is_free):
+            nodes = nodes[is_good(nodes)]
         ends = self._position(nodes)
         # No wider than the place where the camera stands.
         radius = min(self.radius, 0.5 * self._home_clearance)
