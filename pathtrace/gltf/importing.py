@@ -17,7 +17,7 @@ from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
 from pathtrace.gltf.document import EXTENSIONS, Document, undamaged
 from pathtrace.gltf.lights import Light, brightness, camera, read_lights
-from pathtrace.gltf.materials import Materials, Textures, plugin, value
+from pathtrace.gltf.materials import Materials, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
 from pathtrace.gltf.movement import (
     Movement,
@@ -72,7 +72,7 @@ class _Import:
         self._nodes = Nodes(document, chosen_animation(document, animation, self._remarks))
         self._times = Times(self._nodes, fps)
         self._to_world = self._nodes.to_world(self._times.dense)
-        self._materials = Materials(document, Textures(document, folder), self._remarks)
+        self._materials = Materials(document, folder, self._remarks)
         self._names = {"camera", "surroundings"}
         self._tracks: dict[str, Any] = {}
 
