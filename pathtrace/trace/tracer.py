@@ -95,6 +95,11 @@ def auxiliary_spp(spp: int) -> int:
     return min(max(spp, _MIN_AUXILIARY_SPP), _MAX_AUXILIARY_SPP)
 
 
+def features_along(spp: int) -> bool:
+    """Whether radiance is traced with the auxiliary features of each of `spp` samples, and not apart."""
+    return spp <= _MAX_AUXILIARY_SPP
+
+
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
@@ -181,7 +186,7 @@ class Tracer:
     ) -> tuple[Traced, AuxiliaryFeatures]:
         """`trace`, and auxiliary features of as many samples as go with `spp`."""
         wanted = auxiliary_spp(spp)
-        traced = self.trace(camera, positions, spp, seed, features=spp <= _MAX_AUXILIARY_SPP)
+        traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
         if traced.features is None:
             return traced, self.auxiliary(camera, positions, wanted, seed)
         if spp == wanted:
