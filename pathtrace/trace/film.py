@@ -1,4 +1,4 @@
-"""Film positions, where rays start on the film, and a camera's rays through them."""
+"""Film positions, a camera's rays through them, and their samples: numbers, Sobol sequences, lanes."""
 
 from __future__ import annotations
 
@@ -19,6 +19,24 @@ from compose.base.arrays import constant, uploaded
 from compose.base.traced_samples import Counts
 from compose.camera.camera import Camera
 
+# Numbers of N film positions: of their samples, and of those drawn before; one for all, or one of each.
+SampleCounts = int | NDArray[np.int64] | Counts
+Offset: TypeAlias = "int | NDArray[np.integer] | mi.UInt32"
+
+# After so many points a sequence restarts, scrambled otherwise.
+_LOG2_LENGTH = 12
+# Pairs of dimensions: positions on the film, points on lights, directions of scattering.
+FILM, LIGHT, SCATTERING = range(3)
+_PAIRS = 3
+# Keeps the scramblings of different pairs apart.
+_PAIR_STEP = 0x9E3779B9
+# Of the hash that scrambles each pair. Four leave a pattern where neighbouring positions differ in one word.
+_ROUNDS = (4, 8, 8)
+# Lanes are padded to a multiple of this with masked ones: a frozen function is recorded again when the
+# divisibility of its width changes, and masked lanes at the end cost next to nothing.
+_LANE_MULTIPLE = 4096
+_Values = TypeVar("_Values")
+
 
 @dataclass(frozen=True)
 class FilmPositions:
@@ -38,9 +56,8 @@ class FilmPositions:
         """N, the number of positions."""
         return dr.width(self.x)
 
-    def part(self, start: int, stop: int) -> FilmPositions:
-        """Those from the start-th up to the stop-th."""
-        index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, stop - start)
+    def taken(self, index: mi.UInt32) -> FilmPositions:
+        """Some of the positions, by their indices."""
         of = lambda values: dr.gather(mi.Float, values, index)  # noqa: E731
         sizes = (of(size) if dr.width(size) > 1 else size for size in (self.width, self.height))
         found = FilmPositions(of(self.x), of(self.y), *sizes)
@@ -74,7 +91,7 @@ def interleaved(channels: list[Any]) -> NDArray[np.float32]:
     return values.numpy().reshape(-1, 3)
 
 
-def opaque_camera(camera: Camera) -> tuple[Any, ...]:
+def opaque_camera(camera: Camera) -> mi.Float:
     """A camera as one evaluated Dr.Jit array of vectors: origin, ax, ay and az.
 
     The ray through film coordinates (x, y) has the direction x ax + y ay + az. A new camera changes the
@@ -83,50 +100,33 @@ def opaque_camera(camera: Camera) -> tuple[Any, ...]:
     pose = camera.camera_to_world
     ax, ay = pose[:3, 0] / camera.fx, pose[:3, 1] / camera.fy
     az = pose[:3, 2] - camera.cx * ax - camera.cy * ay
-    return (uploaded(mi.Float, np.array([pose[:3, 3], ax, ay, az], dtype=np.float32)),)
+    return uploaded(mi.Float, np.array([pose[:3, 3], ax, ay, az], dtype=np.float32))
 
 
 def ray_through(
-    camera: tuple[Any, ...], x: mi.Float, y: mi.Float, number: mi.UInt32 | int = 0
+    camera: mi.Float, x: mi.Float, y: mi.Float, number: mi.UInt32 | int = 0
 ) -> mi.RayDifferential3f:
     """Rays of an `opaque_camera` through film coordinates x and y, (N,) Dr.Jit floats.
 
     Of several cameras, joined end to end, `number` says which one a ray is of.
     """
-    values = [dr.gather(mi.Float, camera[0], 12 * number + i) for i in range(12)]
+    values = [dr.gather(mi.Float, camera, 12 * number + i) for i in range(12)]
     origin = mi.Point3f(*values[:3])
     ax, ay, az = (mi.Vector3f(*values[i : i + 3]) for i in (3, 6, 9))
     return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))
 
 
-def clipped(ray: mi.Ray3f, camera: tuple[Any, ...], clips: tuple[float, float]) -> tuple[Any, Any]:
+def clipped(
+    ray: mi.Ray3f, camera: mi.Float, clips: tuple[float, float]
+) -> tuple[mi.RayDifferential3f, mi.Float]:
     """Rays of an `opaque_camera` between planes at two depths, and how far from the eye they start, (N,)."""
-    ax, ay = (mi.Vector3f(*[dr.gather(mi.Float, camera[0], i + k) for k in range(3)]) for i in (3, 6))
+    ax, ay = (mi.Vector3f(*[dr.gather(mi.Float, camera, i + k) for k in range(3)]) for i in (3, 6))
     # Length along a ray per unit of depth.
     length = dr.rcp(dr.abs(dr.dot(ray.d, dr.normalize(dr.cross(ax, ay)))))
     near, far = (length * clip for clip in clips)
     within = mi.RayDifferential3f(ray(near), ray.d)
     within.maxt = far - near
     return within, near
-
-
-# Numbers of N film positions: of their samples, and of those drawn before; one for all, or one of each.
-SampleCounts = int | NDArray[np.int64] | Counts
-Offset: TypeAlias = "int | NDArray[np.integer] | mi.UInt32"
-
-# After so many points a sequence restarts, scrambled otherwise.
-_LOG2_LENGTH = 12
-# Pairs of dimensions: positions on the film, points on lights, directions of scattering.
-FILM, LIGHT, SCATTERING = range(3)
-_PAIRS = 3
-# Keeps the scramblings of different pairs apart.
-_PAIR_STEP = 0x9E3779B9
-# Of the hash that scrambles each pair. Four leave a pattern where neighbouring positions differ in one word.
-_ROUNDS = (4, 8, 8)
-# Lanes are padded to a multiple of this with masked ones: a frozen function is recorded again when the
-# divisibility of its width changes, and masked lanes at the end cost next to nothing.
-_LANE_MULTIPLE = 4096
-_Values = TypeVar("_Values")
 
 
 def sobol_tables() -> list[Any]:
@@ -281,11 +281,7 @@ class Batch:
 
     @staticmethod
     def of(
-        camera: Camera,
-        positions: FilmPositions,
-        spp: SampleCounts,
-        offset: Offset,
-        pattern: int,
+        camera: Camera, positions: FilmPositions, spp: SampleCounts, offset: Offset, pattern: int
     ) -> Batch:
         """A batch by numbers of samples as callers have them, in Python, NumPy or Dr.Jit."""
         if isinstance(offset, np.ndarray):
@@ -304,14 +300,13 @@ class Batch:
             yield self
             return
         for start in range(0, count, most):
-            stop = min(start + most, count)
-            index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, stop - start)
+            index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(most, count - start))
             spp, offset = self.spp, self.offset
             if isinstance(spp, Counts):
                 spp = Counts.of(dr.gather(mi.UInt32, mi.UInt32(spp.each), index), spp.most)
             if dr.width(offset) > 1:
                 offset = dr.gather(mi.UInt32, offset, index)
-            yield replace(self, positions=self.positions.part(start, stop), spp=spp, offset=offset)
+            yield replace(self, positions=self.positions.taken(index), spp=spp, offset=offset)
 
     def passes(self, most_lanes: int) -> Iterator[Batch]:
         """The same samples in batches of about so many lanes that have some of each position."""
@@ -351,7 +346,7 @@ class Batch:
         x, y = self.lanes.sample_positions(self.positions, self.sequences)
         active = self.lanes.active
         dr.eval(x, y, active, others)
-        return x, y, active, *opaque_camera(self.camera)
+        return x, y, active, opaque_camera(self.camera)
 
 
 def joined_channels(parts: list[list[Any]]) -> list[Any]:

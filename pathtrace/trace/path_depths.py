@@ -128,8 +128,7 @@ def _traced(
     of = lambda kind, values, index: dr.gather(kind, kind(list(values)), index)  # noqa: E731
     x = sampler.next_1d() * of(mi.Float, (camera.width for camera in cameras), number)
     y = sampler.next_1d() * of(mi.Float, (camera.height for camera in cameras), number)
-    vectors = (dr.concat([opaque_camera(camera)[0] for camera in cameras]),)
-    ray = ray_through(vectors, x, y, number)
+    ray = ray_through(dr.concat([opaque_camera(camera) for camera in cameras]), x, y, number)
     sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, state))
     most, roulette = (
         of(mi.UInt32, (depth if depth >= 0 else LONGEST for depth in each), group)

@@ -301,8 +301,7 @@ class Tracer:
         ray, active = self._rays(*lanes)
         sampler = random_numbers(state, dr.width(active))
         radiance, _, _ = self._path.sample(scene, sampler, ray, self.scene.optics.medium, active)
-        seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen) if features else None
-        return self._evaluated(scene, radiance, sampler, seen, ray, active)
+        return _evaluated(radiance, sampler, self._seen(scene, ray, active) if features else None)
 
     def _cached_radiance(
         self,
@@ -319,47 +318,28 @@ class Tracer:
         seen = auxiliary_hits(scene, ray, active, self._clear and features, self._unseen)
         shown = active & seen.surface.is_valid() if self.scene.optics.hides_emitters else active
         paths = scene, sampler, ray, seen.surface, shown, self._settings, sequences, cache
-        return self._evaluated(scene, path_radiance(*paths), sampler, seen if features else None, ray, active)
+        radiance = path_radiance(*paths)
+        return _evaluated(radiance, sampler, self._seen(scene, ray, active, seen) if features else None)
 
     def _auxiliary(self, scene: AnyScene, *lanes: dr.ArrayBase) -> AuxiliaryFeatures:
-        ray, active = self._rays(*lanes)
-        seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
-        features = self._seen(scene, seen, ray, active)
+        features = self._seen(scene, *self._rays(*lanes))
         dr.eval(features)
         return features
 
-    def _rays(self, x: mi.Float, y: mi.Float, active: mi.Bool, *camera: mi.Float) -> tuple[mi.Ray3f, mi.Bool]:
+    def _rays(self, x: mi.Float, y: mi.Float, active: mi.Bool, camera: mi.Float) -> tuple[mi.Ray3f, mi.Bool]:
         ray, _ = self._clipped(camera, x, y)
         return ray, active
 
-    def _clipped(self, camera: tuple[mi.Float, ...], x: mi.Float, y: mi.Float) -> tuple[mi.Ray3f, mi.Float]:
+    def _clipped(self, camera: mi.Float, x: mi.Float, y: mi.Float) -> tuple[mi.Ray3f, mi.Float]:
         """Rays through film coordinates between the clipping planes, and how far from the eye they start."""
         ray, clips = ray_through(camera, x, y), self.scene.optics.clips
         return (ray, mi.Float(0)) if clips is None else clipped(ray, camera, clips)
 
-    def _evaluated(
-        self,
-        scene: AnyScene,
-        radiance: mi.Color3f,
-        sampler: mi.Sampler,
-        seen: FirstHits | None,
-        ray: mi.Ray3f,
-        active: mi.Bool,
-    ) -> list[Any]:
-        """Three channels of radiance and, of what was seen, those of auxiliary features; computed."""
-        # A sample that is not finite counts as black: it would spoil its pixel's mean.
-        radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
-        # Without this evaluation, every later step would trace its own paths: three to four times the work.
-        sampler.schedule_state()
-        channels = list(radiance)
-        if seen is not None:
-            features = self._seen(scene, seen, ray, active)
-            channels += [*features.albedo, *features.normal, *features.of_first]
-        dr.eval(channels)
-        return channels
-
-    def _seen(self, scene: AnyScene, hits: FirstHits, ray: mi.Ray3f, active: mi.Bool) -> AuxiliaryFeatures:
+    def _seen(
+        self, scene: AnyScene, ray: mi.Ray3f, active: mi.Bool, hits: FirstHits | None = None
+    ) -> AuxiliaryFeatures:
         """Auxiliary features; albedo and normal that are not finite, as of damaged textures, count as 0."""
+        hits = hits or auxiliary_hits(scene, ray, active, self._clear, self._unseen)
         found = auxiliary_features(hits, ray, active, self._movers)
         if self.scene.optics.has_media:
             found = veil(scene, ray, self.scene.optics.medium, active).over(found, ray)
@@ -368,6 +348,19 @@ class Tracer:
             for channels in (found.albedo, found.normal)
         )
         return replace(found, albedo=albedo, normal=normal)
+
+
+def _evaluated(radiance: mi.Color3f, sampler: mi.Sampler, seen: AuxiliaryFeatures | None) -> list[Any]:
+    """Three channels of radiance and those of auxiliary features, if there are any; computed."""
+    # A sample that is not finite counts as black: it would spoil its pixel's mean.
+    radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
+    # Without this evaluation, every later step would trace its own paths: three to four times the work.
+    sampler.schedule_state()
+    channels = list(radiance)
+    if seen is not None:
+        channels += [*seen.albedo, *seen.normal, *seen.of_first]
+    dr.eval(channels)
+    return channels
 
 
 def _added(sums: list[Any], channels: list[Any], *others: object) -> list[Any]:
