@@ -92,10 +92,7 @@ Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """C cells of a grid, one level after the other.
-
-    Of each level there are (C_l,) names of its cells, sorted, and (C_l,) numbers of points in them.
-    """
+    """C cells of a grid by level: (C_l,) their names, sorted, and (C_l,) numbers of points in them."""
 
     grid: Grid
     keys: tuple[NDArray[np.uint64], ...]
@@ -180,10 +177,9 @@ def cell_names_jit(position: mi.Point3f, normal: mi.Normal3f, level: int) -> tup
 
 
 def _mixed(parts: Sequence[Any], factors: tuple[int, ...], integer: Callable[[int], _Integers]) -> _Integers:
-    """32 bits in which neighbouring cells have nothing in common.
+    """32 bits in which neighbouring cells have nothing in common, by the finalizer of MurmurHash3 (Appleby).
 
-    The sum of products gives cells near each other different numbers, which an exclusive or would not; the
-    rest is the finalizer of MurmurHash3 (Appleby).
+    A sum of products gives cells near each other different numbers, which an exclusive or would not.
     """
     bits = sum(part * integer(factor) for part, factor in zip(parts, factors, strict=True))
     bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)

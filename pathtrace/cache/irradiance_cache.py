@@ -151,8 +151,5 @@ def sampled_share(flags: mi.UInt32, wi: mi.Vector3f, sample: mi.BSDFSample3f) ->
 
 
 def shows_lights(flags: mi.UInt32) -> mi.Bool:
-    """Whether surfaces, by their BSDF flags, have lobes that show what is in some directions.
-
-    The others reflect irradiance only.
-    """
+    """Whether surfaces have lobes that show what is in some directions; others reflect irradiance only."""
     return (flags & (mi.BSDFFlags.All & ~mi.BSDFFlags.Diffuse)) != 0

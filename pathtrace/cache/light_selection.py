@@ -30,10 +30,7 @@ _EVEN = 0.2
 def transmittance(
     scene: AnyScene, hit: mi.SurfaceInteraction3f, point: mi.Point3f, active: mi.Bool
 ) -> mi.Color3f:
-    """Share of light (Color3f) that comes to N interactions from points, through thin glass and masks.
-
-    It is 0 where the lane is not active.
-    """
+    """Share of light (Color3f) from points that passes glass and masks to N interactions; 0 if inactive."""
     share = dr.select(active, mi.Color3f(1), 0)
     going, passed, ray = mi.Bool(active), mi.UInt32(0), hit.spawn_ray_to(point)
     while dr.hint(going, exclude=[scene]):
@@ -50,20 +47,14 @@ def transmittance(
 
 @dataclass(frozen=True)
 class LightSamples:
-    """M samples of direct light: indices of their points and lights, and irradiance in any unit, (M,) each.
-
-    Each light had the same chance.
-    """
+    """M samples, each light as likely: indices of points and lights, irradiance in any unit, (M,) each."""
 
     point: NDArray[np.int64]
     light: NDArray[np.int64]
     irradiance: NDArray[np.float32]
 
     def sums(self, places: NDArray[np.int64], count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Sums of squares by light (R, E), and numbers of samples (R,), at R = `count` places.
-
-        The samples lie in the places (M,), and there are E lights.
-        """
+        """Sums of squares by light (R, E), and sample numbers (R,), at R places, by those (M,) of samples."""
         weights = self.irradiance.astype(float) ** 2
         squares = np.bincount(places * lights + self.light, weights=weights, minlength=count * lights)
         return squares.reshape(count, lights), np.bincount(places, minlength=count)
@@ -71,10 +62,7 @@ class LightSamples:
 
 @dataclass(frozen=True, eq=False)
 class LightChoice:
-    """Chances (R + 1, E) of E lights in R cells of a grid, above 0, with sum 1, by the names of the cells.
-
-    The last row is for all other places.
-    """
+    """Chances (R + 1, E), above 0, of E lights in R cells of a grid, by their names, and elsewhere."""
 
     grid: Grid
     keys: NDArray[np.uint64]
@@ -98,10 +86,7 @@ class LightChoice:
         return np.where(known, row, len(self.keys))
 
     def arrays(self, scene: mi.Scene) -> tuple[Any, ...]:
-        """The choice of a Mitsuba scene's lights as Dr.Jit arrays for `Lights`.
-
-        These are grid, table, rows, light numbers, chances, and running sums.
-        """
+        """For `Lights` in kernels: grid, table, rows, light numbers, chances, and running sums."""
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
         numbers = mi.UInt32(light_numbers(scene))

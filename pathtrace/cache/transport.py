@@ -27,10 +27,7 @@ _UNBOUNDED = 32
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """P patches of C cells: (levels, P) indices of the cells in which each lies, one of each level, or -1.
-
-    The indices ascend with the level.
-    """
+    """P patches of C cells: (levels, P) indices of the cells in which each lies, ascending, or -1."""
 
     cells: NDArray[np.int32]
     count: int
@@ -106,10 +103,7 @@ class Transport:
 
     @staticmethod
     def of(links: Links, patches: Patches, patch: NDArray[np.int32]) -> Transport:
-        """The transport of links from N points, with their patches, and the patch (N,) of each.
-
-        Links are rays whose hits are known, and rays that left the scene.
-        """
+        """The transport of links from N points, known or out of the scene, with the patch (N,) of each."""
         start = patch[links.point]
         rays = np.bincount(start, minlength=len(patches)).astype(np.int32)
         hit = links.cell >= 0
@@ -135,10 +129,9 @@ class Transport:
         for first in range(0, len(self.starts) - 1, max(len(self.patches), 1)):
             rows = self.starts[first : first + len(self.patches) + 1]
             part = slice(rows[0], rows[-1])
-            places = self.cells[part], rows - rows[0]
-            matrices.append(
-                tuple(sparse.csr_array((channel[part], *places), shape) for channel in self.reflectance)
-            )
+            cells, ends = self.cells[part], rows - rows[0]
+            channels = (sparse.csr_array((row[part], cells, ends), shape) for row in self.reflectance)
+            matrices.append(tuple(channels))
         return tuple(matrices)
 
     @cached_property
@@ -146,10 +139,7 @@ class Transport:
         return self.patches.averaging(self.rays)
 
     def received(self, known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """(C, 3) irradiance that comes by way of other cells.
-
-        What is known is their own (C, 3), of at most 1, 2, ... segments.
-        """
+        """(C, 3) irradiance by way of other cells, whose own is known, of at most 1, 2, ... segments."""
         sums = np.zeros((len(self.patches), 3), dtype=np.float32)
         for channels, light in zip(self._matrices, reversed(known), strict=False):
             for channel, matrix in enumerate(channels):
@@ -279,13 +269,6 @@ class Transfer:
         return self.transport.patches.regions[self.patch[self.rays.point]]
 
     @cached_property
-    def _shares(self) -> NDArray[np.float64]:
-        """(P, 1) share of the points of its region that each patch has."""
-        regions = self.transport.patches.regions
-        of_regions = np.maximum(np.bincount(regions, self.numbers), 1)
-        return np.asarray(self.numbers / of_regions[regions])[:, None]
-
-    @cached_property
     def _averaging(self) -> sparse.csr_array:
         return self.transport.patches.averaging(self.numbers)
 
@@ -297,7 +280,8 @@ class Transfer:
         region.
         """
         regions = self.transport.patches.regions
-        shown = self._shares * reflected[regions]
+        shares = self.numbers / np.maximum(np.bincount(regions, self.numbers), 1)[regions]
+        shown = shares[:, None] * reflected[regions]
         rows = [direct, *(direct + passed[regions, None] * shown for passed in self.passed)]
         return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
 

@@ -46,9 +46,9 @@ _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 def describe_capture(
     scene: Scene, views: ViewSet, settings: CaptureSettings, integrator: Integrator
 ) -> dict[str, Any]:
-    """The content of transforms.json; UserError if more views are held out than may be.
+    """The content of transforms.json, for an integrator of all but held-out frames, which are unbiased.
 
-    The integrator is that of training frames and estimates; held-out frames are always unbiased.
+    UserError if more views are held out than may be.
     """
     cameras, count, most = views.fixed + views.spread, settings.held_out, len(views.spread)
     if count > most:
@@ -95,10 +95,7 @@ def describe_capture(
 
 
 def described_set(scene: Scene, settings: dict[str, Any], integrator: str) -> dict[str, Any]:
-    """What transforms.json says of all frames: of the scene, with what moves rigidly, and how it is traced.
-
-    The scene has coordinates if they are not the world's, and what is planned for it, if anything is.
-    """
+    """What transforms.json says of all frames: of their scene, what moves in it, and how it is traced."""
     place = {} if scene.place == WORLD else asdict(scene.place)
     plan = {"plan": dict(scene.plan)} if scene.plan else {}
     motion = {} if scene.moving is None else {"courses": [c.as_json() for c in scene.moving.courses()]}

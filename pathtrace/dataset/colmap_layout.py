@@ -50,10 +50,7 @@ def model_of(folder: Path) -> Path | None:
 
 
 def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
-    """The images of a data set in the order of their names, and points (M, 3) that they show.
-
-    UserError if images are missing, a file is damaged, a camera is not a perspective one, or makes no view.
-    """
+    """The images of a data set in the order of their names, and points (M, 3); UserError if it is damaged."""
     found = read_model(model)
     root = folder / _IMAGES if (folder / _IMAGES).is_dir() else folder
     shots = sorted(found.images, key=lambda image: image.name)
@@ -118,7 +115,10 @@ def write_colmap(found: FrameSet, folder: Path) -> tuple[int, int]:
     """
     if len({entry.time for entry in found.entries}) > 1:
         raise UserError(f"{found.folder}: its frames show several times, which COLMAP's format does not have")
-    stride = _stride(found.entries)
+    # The step of a grid of pixels, of which all frames together have at most as many as there may be.
+    stride, sizes = 1, [entry.size for entry in found.entries]
+    while sum(-(-width // stride) * -(-height // stride) for width, height in sizes) > _MOST_POINTS:
+        stride += 1
     names = [f"{number:0{len(str(len(found.entries))) + 3}d}.png" for number in range(len(found.entries))]
     cameras: dict[ModelCamera, int] = {}
     images, seen = [], []
@@ -136,14 +136,6 @@ def write_colmap(found: FrameSet, folder: Path) -> tuple[int, int]:
             model, ColmapModel({number: camera for camera, number in cameras.items()}, images), points
         )
     return len(images), len(points.positions)
-
-
-def _stride(entries: list[FrameEntry]) -> int:
-    """The step of a grid of pixels, of which all frames together have at most as many as there may be."""
-    stride = 1
-    while sum(-(-e.camera.width // stride) * -(-e.camera.height // stride) for e in entries) > _MOST_POINTS:
-        stride += 1
-    return stride
 
 
 def _write_image(path: Path, entry: FrameEntry, number: int, stride: int) -> ModelPoints:

@@ -237,10 +237,7 @@ def _world_to_camera(pose: list[float]) -> Array:
 
 
 def write_model(folder: Path, model: ColmapModel, points: ModelPoints) -> None:
-    """Writes a binary model of cameras and images, with points in place of those of the model.
-
-    Images and points are numbered from 1, in their order. UserError if a file cannot be written.
-    """
+    """Writes a binary model of cameras and images, with points in place of its own; numbers start at 1."""
     count = len(points.positions)
     ids = np.arange(1, count + 1)
     cameras = [

@@ -58,21 +58,17 @@ class FrameError:
     @property
     def mse(self) -> float:
         """Mean squared error of the frame denoised from all samples."""
-        return _JOINT_SHARE * (self.variance / 2 + self._bias())
+        told = _BIAS_PER_CHANGE * self.change
+        prior = _PRIOR_DEVIATION * told
+        # Weight, 0 to 1, of the product against what the change tells of the bias.
+        trust = float(prior**2 / (prior**2 + self.deviation**2)) if prior > 0 else 0.0
+        bias = max(trust * self.product + (1 - trust) * told, _LEAST_SHARE * told)
+        return _JOINT_SHARE * (self.variance / 2 + bias)
 
     @property
     def psnr_db(self) -> float:
         """Peak signal-to-noise ratio in dB of the frame denoised from all samples; at most 120."""
         return decibels(self.mse)
-
-    def _bias(self) -> float:
-        """Squared bias of the denoised halves."""
-        told = _BIAS_PER_CHANGE * self.change
-        prior = _PRIOR_DEVIATION * told
-        # Weight, 0 to 1, of the product against what the change tells.
-        trust = float(prior**2 / (prior**2 + self.deviation**2)) if prior > 0 else 0.0
-        found = trust * self.product + (1 - trust) * told
-        return max(found, _LEAST_SHARE * told)
 
 
 def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = None) -> FrameError:
@@ -97,10 +93,7 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
 
 
 def mean_frame_error(errors: Sequence[FrameError]) -> FrameError:
-    """The mean error of several frames, more certain than that of any of them; ValueError without a frame.
-
-    Its PSNR is that of the mean squared error, not the mean of the PSNRs.
-    """
+    """The mean error of several frames, whose PSNR is that of the mean square; ValueError without any."""
     if not errors:
         raise ValueError("no frames to have an error")
     columns = list(zip(*map(astuple, errors), strict=True))

@@ -181,10 +181,7 @@ class GrowingFrames:
 
 
 def _is_same(stored: Camera, camera: Camera) -> bool:
-    """Whether a camera is one that was written and read: its pose may be a little less than rigid.
-
-    Such a pose, inverted, is off by as much more as it is farther from the origin.
-    """
+    """Whether a camera was written and read as another, which may leave it a little less than rigid."""
     numbers = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in (stored, camera)]
     tolerance = np.full((4, 4), 2 * RIGID_TOLERANCE)
     tolerance[:3, 3] *= max(1.0, float(np.linalg.norm(camera.world_to_camera[:3, 3])))

@@ -37,8 +37,7 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 class Lens:
     """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
 
-    Skew is in pixels to the right per unit downwards on the image plane; the divisor is k4, k5 and k6 of
-    OpenCV.
+    Skew is in pixels to the right per unit downwards in the image plane; the divisor has OpenCV's k4 to k6.
     """
 
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)

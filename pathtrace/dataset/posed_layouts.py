@@ -85,11 +85,7 @@ def _nerfstudio(folder: Path) -> dict[str, Any] | None:
 
 
 def read_posed_folder(folder: Path) -> PosedFolder:
-    """Reads a folder of posed images, except for the pixels, and checks that all files are there.
-
-    UserError if the layout is unknown, there is no training image, a file is missing or damaged, or values
-    make no view.
-    """
+    """Reads a folder of posed images, but not their pixels; UserError if damaged or of no known layout."""
     points = bounds = None
     if (folder / TRAINING).is_file():
         layout, images = SYNTHETIC, read_synthetic(folder)
@@ -157,14 +153,12 @@ def read_synthetic(folder: Path) -> list[PosedImage]:
 def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
     """The images of a folder in the order of its description; UserError as in `read_synthetic`."""
     images = _frames(folder / TRANSFORMS, content, False)
+    # By convention, unless somebody says which.
+    chosen = {image.file for image in images[::HELD_OUT_EVERY]} if len(images) > HELD_OUT_EVERY else set()
     with described_by(folder / TRANSFORMS):
-        named = next((content[key] for key in ("test_filenames", "val_filenames") if content.get(key)), None)
-        if named is not None:
+        if named := content.get("test_filenames") or content.get("val_filenames"):
             chosen = {_image_file(folder, name) for name in named}
-            return [replace(image, held_out=image.file in chosen) for image in images]
-    if len(images) <= HELD_OUT_EVERY:
-        return images
-    return [replace(image, held_out=number % HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
+    return [replace(image, held_out=image.file in chosen) for image in images]
 
 
 def _frames(path: Path, content: dict[str, Any], held_out: bool) -> list[PosedImage]:
@@ -233,16 +227,12 @@ def _focal(values: dict[str, Any], name: str, side: float) -> float:
 def read_nerfies(
     folder: Path,
 ) -> tuple[list[PosedImage], NDArray[np.float64] | None, tuple[float, float] | None]:
-    """Images, points (M, 3) in the coordinates of their cameras, and the bounds of distances.
-
-    UserError as in `read_synthetic`, or if labels are of another size.
-    """
+    """Images, points (M, 3) of their cameras' coordinates, and bounds of distances; UserError if damaged."""
     content = document(folder / DATASET)
     with described_by(folder / DATASET):
         held_out = [str(name) for name in content.get("val_ids", [])]
-        training = [str(name) for name in content["train_ids"]]
-    # What is both is held out.
-    ids = [*(name for name in training if name not in held_out), *held_out]
+        # What is both is held out.
+        ids = [*(name for name in map(str, content["train_ids"]) if name not in held_out), *held_out]
     times = _times(folder / "metadata.json", ids)
     centre, scale, bounds = _scene(folder / "scene.json")
     level = _level(folder, ids)
@@ -310,11 +300,9 @@ def _labels_folder(folder: Path, level: int) -> Path | None:
 def _label(folder: Path, name: str, size: tuple[int, int]) -> Path:
     mask = _file(folder, name, ".png.png")
     path = mask if mask.is_file() else _file(folder, name, ".png")
-    found = read_size(path)
-    if found != size:
-        raise UserError(
-            f"{path}: {found[0]} x {found[1]} pixels; must be {size[0]} x {size[1]}, as of the image"
-        )
+    (width, height), wanted = read_size(path), f"{size[0]} x {size[1]}"
+    if (width, height) != size:
+        raise UserError(f"{path}: {width} x {height} pixels; must be {wanted}, as of the image")
     return path
 
 

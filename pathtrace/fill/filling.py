@@ -72,10 +72,7 @@ class Guide:
         square: NDArray[np.float32],
         brought: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """(M,) weights of rays of a mean over as many even as guided ones.
-
-        For rays that the guide was learnt from, `brought` (M,) is what each brought.
-        """
+        """(M,) weights of rays in a mean over even and guided ones; of even ones with what they `brought`."""
         own = np.zeros(len(region)) if brought is None else brought.astype(np.float64)
         light, total = self._light[region, _bins(square)] - own, self._total[region] - own
         # What rounding leaves of a sum of one ray is no light.
@@ -164,10 +161,7 @@ def _passed(
 def guided_transfer(
     scene: AnyScene, places: GuidedPlaces, even: Seen, most: int, random: np.random.Generator
 ) -> Transfer:
-    """The transfer by rays in even directions, and by as many that follow where these found light.
-
-    `even` was seen by the same number of rays from each point; `most` is as in `Transport.irradiance`.
-    """
+    """The transfer by even rays, as many of each point, and by as many that follow what these found."""
     points, cells = places.points, places.cells
     hit = cells_hit(even, points, cells)
     known = places.transfer(even, hit, np.ones(len(hit), dtype=np.float32)).irradiance(most)[-1]
@@ -202,10 +196,7 @@ _GENERATIONS = 3
 
 
 def segments_beyond_cache(scene: Scene) -> int:
-    """Segments that a path may take beyond the cache, at least 1; -1 for no bound.
-
-    One of a path's segments leads to the first surface, and one from there to the cache.
-    """
+    """Segments that a path may take beyond the cache, after its first two; at least 1, -1 for no bound."""
     return max(1, scene.max_depth - 2) if scene.max_depth >= 0 else -1
 
 

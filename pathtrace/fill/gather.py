@@ -44,10 +44,7 @@ _ANY_AREA = 1e9
 
 @dataclass(frozen=True)
 class Followed:
-    """What M rays found that were followed through mirrors, glossy surfaces and glass, as Dr.Jit arrays.
-
-    Attributes are those of `Seen`, but for the last surface and the normal of its lit side.
-    """
+    """What M rays found, as in `Seen`, but for the last surface, and the normal of its lit side."""
 
     radiance: Any
     passed: Any
@@ -232,10 +229,7 @@ def sampled_lights(
     first: mi.UInt32 | int = 0,
     total: int | None = None,
 ) -> tuple[Any, ...]:
-    """Three channels of irradiance at `count` points, that of each sample, and its light's number.
-
-    Points are those from the first on of `total` places, given as their positions and normals.
-    """
+    """Three channels of irradiance at `count` of `total` places, that of each sample, and light numbers."""
     lane = dr.arange(mi.UInt32, count * SAMPLES)
     sampler = random_numbers(state, count * SAMPLES)
     point = first + lane // SAMPLES

@@ -76,10 +76,7 @@ class Renewal:
 
 
 class Spreading:
-    """Irradiance of cells that follows the light which falls on them directly.
-
-    What is sent (S, C, 3), and the number of segments that count at most, are as in `Transport.irradiance`.
-    """
+    """Irradiance of cells that follows direct light, which is sent as in `Transport.irradiance`."""
 
     def __init__(self, transport: Transport, sent: NDArray[np.float32], most: int):
         self._transport, self._next, self._sent = transport, 1, sent

@@ -105,10 +105,7 @@ class Animation:
 
 
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
-    """The animation of a name or number, else all that move different things, else the first one.
-
-    Lines for the user are added to the remarks. UserError if there is none, or it moves what does not exist.
-    """
+    """The animation of a name or number, else all that move different things, else the first one."""
     items = document.section("animations")
     names = [str(item.get("name", number)) for number, item in enumerate(items)]
     if name is not None:
@@ -171,10 +168,7 @@ def _sampler(
 
 
 class Nodes:
-    """The nodes of a file while an animation plays; UserError if they are not trees.
-
-    `shown` are the numbers of the nodes of the scene that is shown, parents first.
-    """
+    """Nodes while an animation plays; those that are `shown`, parents first. UserError if not trees."""
 
     def __init__(self, document: Document, animation: Animation):
         self.animation = animation

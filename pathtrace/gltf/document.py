@@ -84,10 +84,7 @@ class Document:
 
 @contextmanager
 def undamaged(file: Path) -> Iterator[None]:
-    """Says of what goes wrong with a file's content that it is damaged, as a UserError.
-
-    The schema leaves extensions alone, and much that refers to something.
-    """
+    """Says of what goes wrong with a file's content, which the schema leaves open, that it is damaged."""
     try:
         yield
     except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
@@ -151,10 +148,7 @@ def _parts(content: bytes) -> tuple[bytes, bytes | None]:
 
 
 def _mended(tree: object) -> object:
-    """A tree without what the specification forbids and exporters write nevertheless.
-
-    That is empty lists, animations without channels, and URIs with spaces and the backslashes of Windows.
-    """
+    """A tree without forbidden things that exporters write: empty lists and animations, spaces in URIs."""
     if isinstance(tree, list):
         return [_mended(value) for value in tree]
     if not isinstance(tree, dict):

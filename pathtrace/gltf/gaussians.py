@@ -43,10 +43,7 @@ class StoredGaussians:
 
 
 def read_gaussians(document: Document, remarks: list[str]) -> list[StoredGaussians]:
-    """The Gaussians that a document shows, as it stands at rest; none of one that shows triangles.
-
-    All have harmonics of the same degree; remarks get lines for the user. UserError if they are damaged.
-    """
+    """The Gaussians that a document shows at rest, of one degree; none of one that shows triangles."""
     with undamaged(document.file):
         nodes = Nodes(document, Animation())
         to_world = nodes.to_world(np.zeros(1))

@@ -38,11 +38,7 @@ _DEPTH = 8
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written: the XML file, and of how much, with remarks about what is not as in the file.
-
-    Triangles are those at one time; shapes and lights move rigidly, other shapes deform; the animation takes
-    some seconds, 0 if nothing moves.
-    """
+    """What was written: of how many triangles at one time, and how many parts move rigidly or deform."""
 
     scene: Path
     triangles: int

@@ -91,11 +91,7 @@ def read_lights(document: Document, nodes: Nodes) -> list[Light]:
 
 
 def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> float:
-    """Factor on all lights, so that their light can be shown.
-
-    Units are photometric, and files differ in what they take for white: where lights give far more than
-    white in the middle of the scene, they are dimmed together. Arguments are as in `camera`.
-    """
+    """Factor on all lights, so that those far brighter than white in the middle of the scene can be shown."""
     given = sum(light.irradiance(to_world_of[light.node][0], bounds) for light in lights)
     return _WHITE / given if given > _TOO_BRIGHT * _WHITE else 1.0
 
@@ -103,10 +99,9 @@ def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> 
 def camera(
     document: Document, nodes: Nodes, to_world_of: list[Array], bounds: Array, remarks: list[str]
 ) -> ET.Element:
-    """The first perspective camera of a file, else one that sees everything from the front.
+    """The first perspective camera of a file, else one that sees everything from the front; adds remarks.
 
-    Given are (T, 4, 4) to_world of each node, the first at time 0, and the (2, 3) lowest and highest corner
-    of what is seen at any time. Lines for the user are added to the remarks.
+    Given are (T, 4, 4) to_world of each node, the first at time 0, and (2, 3) corners of what is seen.
     """
     for node in nodes.shown:
         item = document.section("nodes")[node]

@@ -114,10 +114,9 @@ class Movement:
 
 
 class Times:
-    """When nodes are looked at while their animation plays, in seconds; UserError if that is too often.
+    """When nodes are looked at, in seconds: at even (E,) and, with keyframes and steps, dense (T,) times.
 
-    There are (T,) dense times and (E,) even ones. The dense ones are the equal steps of the even ones, all
-    keyframes and moments before steps; their shares (T,) are from 0 to 1.
+    Shares (T,) of the dense ones are from 0 to 1. UserError if they are too many.
     """
 
     def __init__(self, nodes: Nodes, fps: float):

@@ -118,10 +118,7 @@ class Neighbourhood:
         return found
 
     def path(self, shares: Sequence[float]) -> list[Camera]:
-        """Views along a closed path around the scene's own camera, at shares 0 to 1 of it.
-
-        It sways as far as there is free space: a scene that leaves none has a camera that stands still.
-        """
+        """Views along a closed path around the scene's own camera, at shares 0 to 1 of it."""
         axes = self.home.camera_to_world[:3, :3]
         for size in _SWAYS:
             found = []
@@ -205,20 +202,16 @@ class ViewSet:
 
 
 def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
-    """Views around the scene's own camera to measure on, which differ from those of any training.
-
-    Of a scene that moves, they show times half a step from those of training views.
-    """
+    """Views to measure on, between those of any training, in time as well."""
     neighbourhood = Neighbourhood(scene, scene.surfaces(), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
     return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
-    """Views around the scene's own camera, `count` in all; with 16 or fewer, only that camera is fixed.
+    """Views around the scene's own camera, `count` in all; UserError without free space for them.
 
-    Frames have a width and height in pixels; same seed, same views. UserError if the scene's own camera sees
-    no surface, or there is no free space for that many views.
+    With 16 or fewer, only that camera is fixed. Same seed, same views.
     """
     neighbourhood = Neighbourhood(scene, surfaces, width, height)
     fixed = [neighbourhood.home]
@@ -229,10 +222,7 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
 
 
 def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int) -> ViewSet:
-    """Views of one camera that sways around the scene's own, one instant after the other, as in a video.
-
-    Args and raises as in `choose_views`.
-    """
+    """As `choose_views`, of one camera that sways around the scene's own, one instant after the other."""
     shares = np.linspace(0, 1, count)
     cameras = Neighbourhood(scene, surfaces, width, height).path(shares.tolist())
     return ViewSet([], cameras, [0.0 if scene.moving is None else float(share) for share in shares])

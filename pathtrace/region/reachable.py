@@ -217,10 +217,7 @@ def _key(nodes: _Nodes) -> _Nodes:
 
 
 class ReachableRegion(DrawnRegion):
-    """The reachable space of a scene, as a lattice, with its surfaces.
-
-    UserError if the scene's own camera sees no surface, or a viewer has no space there.
-    """
+    """The reachable space of a scene, as a lattice; UserError if its camera sees nothing, or has no space."""
 
     name = "reachable"
     _views = "of it"

@@ -41,11 +41,7 @@ class ViewCoverage:
         self._intrinsics = np.array(numbers, dtype=np.float64).reshape(-1, 6)
 
     def map(self, camera: Camera) -> Array:
-        """(h, w) how well a camera's frame is covered, from 0 (unseen) to 1 (seen as finely or finer).
-
-        Between the two, values are ratios of resolutions, in pixels per length along a surface. The map has
-        the frame's shape, and about 144 values.
-        """
+        """(h, w), about 144 ratios of resolutions, from 0 (unseen) to 1, by which a frame is covered."""
         height = max(1, round(float(np.sqrt(_RAYS * camera.height / camera.width))))
         width = max(1, round(_RAYS / height))
         x, y = (
@@ -96,10 +92,9 @@ class ViewCoverage:
 def _resolution(
     fx: Array | float, fy: Array | float, height: Array | float, ways: Array, normal: Array
 ) -> Array:
-    """(N,) frame heights per unit of length along surfaces with unit normals (N, 3).
+    """(N,) frame heights per unit of length along surfaces with unit normals (N, 3), by ways to views (N, 3).
 
-    At a slant, it is the geometric mean of both axes; from behind, 0. Ways (N, 3) lead from surfaces to
-    views.
+    At a slant, it is the geometric mean of both axes; from behind, 0.
     """
     length = np.linalg.norm(ways, axis=1)
     cosine = np.sum(ways * normal, axis=1) / length

@@ -78,10 +78,7 @@ def upright(home: Camera) -> Array:
 
 
 def turned_about(up: Array, yaw: Array, pitch: Array) -> Array:
-    """(N, 3, 3) camera-to-world rotations with a level horizon.
-
-    Yaw (N,) is in degrees about the unit vector `up` (3,), pitch (N,) in degrees above the horizon.
-    """
+    """(N, 3, 3) level camera-to-world rotations, of yaw (N,) about `up` (3,) and pitch (N,), degrees."""
     level = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     level /= np.linalg.norm(level)
     yaw, pitch = np.radians(yaw)[:, None], np.radians(pitch)[:, None]
@@ -164,10 +161,7 @@ class DrawnRegion(ABC):
         return [looks.camera(index, home) for index in range(count)]
 
     def _drawn(self, count: int, like: Camera, for_training: bool, seeds: list[int]) -> Looks:
-        """Up to `count` views that show something, and not only from too near; UserError if there are none.
-
-        They are fewer where hardly one in 24 shows anything.
-        """
+        """Up to `count` views that show something not too near; UserError if there are none."""
         rng, positions, rotations, total = np.random.default_rng(seeds), [], [], 0
         for _ in range(_TRIES):
             looks = self._propose(count, for_training, rng)
@@ -185,10 +179,7 @@ class DrawnRegion(ABC):
 
 
 class Selection:
-    """Chooses views of a region, for viewers and the camera that they have.
-
-    The patches have a side in units of the scene; the origin (3,) is a point amid it.
-    """
+    """Chooses views for viewers and their camera, by patches whose grid has an origin (3,)."""
 
     def __init__(self, surfaces: Surfaces, patch: float, origin: Array, viewers: tuple[Looks, Camera]):
         self._surfaces, self._patch, self._origin = surfaces, patch, origin
@@ -198,10 +189,9 @@ class Selection:
         self._weight = pixels / max(pixels.sum(), 1)
 
     def chosen(self, count: int, first: Camera, like: Camera, draw: Callable[[int], Looks]) -> list[Camera]:
-        """Views, best first; the first views are the same whatever their number.
+        """Views, best first, the same whatever their number, after a `first` one.
 
-        The `first` is taken without a choice; the others have the intrinsics of `like`, and are chosen from
-        the candidates, at least one, that `draw` gives for the number of the round.
+        The others have the intrinsics of `like`, of candidates that `draw` gives for the number of the round.
         """
         views = [first][:count]
         lacking = self._weight.copy()

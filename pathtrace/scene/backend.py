@@ -33,11 +33,7 @@ _process = 0
 
 
 def select_backend(choice: str = "auto") -> Backend:
-    """Sets the Mitsuba variant, once per process: "cuda", "llvm", or "auto" for CUDA if it is available.
-
-    Raises:
-        UserError: the choice is unknown or not available, or another backend is already in use.
-    """
+    """Sets the Mitsuba variant, once per process: "cuda", "llvm" or "auto"; UserError if it is not there."""
     global _selected, _process
     _require_own_process()
     if choice not in ("auto", "cuda", "llvm"):

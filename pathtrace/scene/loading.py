@@ -128,8 +128,7 @@ def _camera_position(state: mi.parser.ParserState) -> Array:
 def _relocate(state: mi.parser.ParserState, place: Place) -> None:
     """Puts a parsed scene into the coordinates of a place; ImmovableError if a part of it cannot be.
 
-    Light stays as it is: that of area lights does not depend on the unit of length, and the intensity of
-    point lights is divided by its square.
+    Light stays as it is: that of point lights is divided by the square of the unit.
     """
     groups = (node.props for node in state.nodes if node.props.plugin_name() == "shapegroup")
     kinds = mi.Properties.Type
@@ -153,10 +152,7 @@ def _relocate(state: mi.parser.ParserState, place: Place) -> None:
 
 
 def _coarsest_step(state: mi.parser.ParserState) -> float:
-    """Step of float32 at the vertices of a scene's mesh files: if they carry the distance from the origin.
-
-    A mesh that its to_world puts near the camera has its vertices near its own origin.
-    """
+    """Step of float32 at vertices of mesh files, if they, and not to_world, carry their distance."""
     camera = _camera_position(state)
     far = float(np.linalg.norm(camera))
     shapes = (node.props for node in state.nodes if node.type == mi.ObjectType.Shape)
@@ -213,9 +209,9 @@ def _to_world(properties: mi.Properties) -> Array:
 
 @dataclass(frozen=True)
 class Source:
-    """What a scene is loaded from: XML text, whose files are relative to a folder, or a dictionary.
+    """What a scene is loaded from: a name for messages, XML text with its folder, or a dictionary.
 
-    The name stands in error messages. Nodes of the parsed scene that are left out have numbers.
+    Nodes of the parsed scene that are left out have numbers.
     """
 
     name: str
@@ -250,10 +246,9 @@ def _load_in_place(source: Source, unit: float, apart: Collection[str]) -> tuple
 
 
 def load_mitsuba(source: Source, apart: Collection[str] = ()) -> mi.Scene:
-    """A Mitsuba scene, whose meshes Mitsuba merges, by which tracing is twice as fast.
+    """A Mitsuba scene; UserError if Mitsuba refuses it. Its meshes are merged, which is twice as fast.
 
-    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids. UserError if Mitsuba
-    refuses it, or it is not a scene.
+    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids.
     """
     if apart or source.left_out:
         return _parsed(source, apart, lambda state: None)
@@ -265,10 +260,7 @@ def load_mitsuba(source: Source, apart: Collection[str] = ()) -> mi.Scene:
 
 
 def load_whole_parts(source: Source, apart: Collection[str] = ()) -> tuple[mi.Scene, Source, list[str]]:
-    """As `load_mitsuba`, but without degenerate meshes if it is for them that Mitsuba refuses the scene.
-
-    Also returns the source without these, and what is wrong with each.
-    """
+    """As `load_mitsuba`, without meshes that Mitsuba refuses; also the source then, and their faults."""
     try:
         return load_mitsuba(source, apart), source, []
     except UserError:

@@ -180,11 +180,7 @@ class RigidTrack:
 
 @dataclass(frozen=True)
 class MeshTrack:
-    """Vertices that go from mesh to mesh, linearly, in equal times from 0 to 1.
-
-    There are at least two mesh files, whose vertices are in the coordinates of the scene's file, as many and
-    in the same order as those of the shape.
-    """
+    """Vertices that go linearly between two meshes or more, in equal times, in the order of the shape's."""
 
     files: tuple[Path, ...]
 

@@ -91,10 +91,7 @@ class MovingScene:
         return [(name, track) for name, track in self.motion.shapes.items() if isinstance(track, RigidTrack)]
 
     def courses(self, steps: int = _STEPS) -> list[Course]:
-        """The courses of all shapes that move, of pieces of those that deform, in the scene's coordinates.
-
-        Turns that nobody sees are left out: those of a ball without a texture.
-        """
+        """Courses of all that moves, of pieces of what deforms; nobody sees turns of plain balls."""
         shapes = {shape.id(): (number, shape) for number, shape in enumerate(self._scene.shapes())}
         times, found = np.linspace(0, 1, steps), []
         for name, track in self.motion.shapes.items():
@@ -135,10 +132,7 @@ class MovingScene:
             self._scene.follow()
 
     def _set(self, key: str, value: Array) -> None:
-        """Gives a parameter a value, that of vertices in the memory that they have.
-
-        A frozen function may go on reading the memory that they had when it was recorded (Dr.Jit 1.5).
-        """
+        """Gives a parameter a value; recordings may go on reading the memory of vertices (Dr.Jit 1.5)."""
         if key.endswith((_POSITIONS, _NORMALS)):
             torch.from_dlpack(self._parameters[key])[:] = torch.from_numpy(value.astype(np.float32))
             self._parameters.set_dirty(key)

@@ -89,10 +89,7 @@ def clipping_planes(scene: mi.Scene, sensor: mi.Sensor, camera: Camera) -> tuple
 
 
 def camera_of_sensor(sensor: mi.Sensor, source: str) -> Camera:
-    """The camera of a perspective sensor, at the size of its film's crop window, by default the whole film.
-
-    `source` stands in error messages. UserError if the sensor's to_world mirrors or shears.
-    """
+    """The camera of a sensor, in its film's crop window; UserError if its to_world mirrors or shears."""
     parameters, film = mi.traverse(sensor), sensor.film()
     width, height = (int(v) for v in film.size())
     focal = 0.5 * width / np.tan(np.radians(float(parameters["x_fov"][0])) / 2)
@@ -110,10 +107,7 @@ def camera_of_sensor(sensor: mi.Sensor, source: str) -> Camera:
 
 
 def perspective_sensor(scene: mi.Scene, source: str, name: str | None = None) -> mi.Sensor:
-    """The perspective sensor or thin lens of a name in a Mitsuba scene, by default the first.
-
-    UserError if it has none.
-    """
+    """The perspective sensor or thin lens of a name, by default the first; UserError if there is none."""
     sensors = scene.sensors()
     if not sensors:
         raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")

@@ -70,10 +70,7 @@ def xml_of(source: str | Path) -> tuple[Path, str | None]:
 
 
 def files_of_scene(source: str | Path) -> list[Path]:
-    """All files that `load_scene` reads of a scene; none of XML text.
-
-    UserError if the scene is missing or not well-formed.
-    """
+    """All files that `load_scene` reads of a scene, none of XML text; UserError if one is missing."""
     path, text = xml_of(source)
     if text is not None:
         return []

@@ -87,10 +87,7 @@ class References:
         self._collect(root, source.parent, 0)
 
     def candidates(self, name: str, beside: Path) -> Iterator[Path]:
-        """Files that a name in a file of a folder may stand for.
-
-        They lie in the search folders, in that folder, or in the scene's; else in the working folder.
-        """
+        """Files that a name in a file of a folder may stand for, in the order of folders to search."""
         folders = list(dict.fromkeys([*self.folders, beside, self.source.parent]))
         # Of names that no file can have, pathlib's own function raises an error.
         files = [folder / name for folder in folders if os.path.isfile(folder / name)]
@@ -151,10 +148,7 @@ def mitsuba_folder() -> Path:
 
 
 def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
-    """Checks that no plugin of a scene, whose elements have such types, would be loaded from its own files.
-
-    UserError if a type is a path, or unknown and a file of that name lies in one of the search folders.
-    """
+    """UserError if a plugin of these types would be loaded from one of the folders, not Mitsuba's own."""
     own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
     searched = [folder / "plugins" for folder in (*folders, Path())]
     found = {path.stem for folder in searched if folder.is_dir() for path in folder.iterdir()}
@@ -175,8 +169,7 @@ def referenced_files(path: Path) -> list[Path]:
 def file_fingerprint(content: bytes, root: ET.Element, references: References) -> str:
     """Hash (64 hexadecimal digits) of a scene's XML and of every file that Mitsuba loads because of it.
 
-    Files that only includes, search folders or parameters lead to are added with their sizes; those that do
-    not exist are skipped. UserError if a file cannot be read.
+    Files that only includes, search folders or parameters lead to are added with their sizes.
     """
     digest, folder = hashlib.sha256(content), references.source.parent
     named = (e for e in root.iter("string") if e.get("name") == "filename")
@@ -207,10 +200,7 @@ def text_fingerprint(text: str) -> str:
 
 
 def dictionary_fingerprint(scene: dict[str, Any]) -> str:
-    """Hash of a scene dictionary, its printed form, and of the files and the objects that it holds.
-
-    UserError if a file cannot be read.
-    """
+    """Hash of a scene dictionary, its printed form, and of the files and the objects that it holds."""
     digest = hashlib.sha256(repr(scene).encode())
     _add_held(digest, scene)
     return digest.hexdigest()
@@ -233,10 +223,7 @@ def _add_held(digest: hashlib._Hash, value: object) -> None:
 
 @dataclass(frozen=True)
 class SceneDescription:
-    """A scene's XML, as a rule without its integrator, the hash of all files, and what that asks for.
-
-    That is the path depth, -1 if there is no bound, and whether lights are hidden from the camera.
-    """
+    """A scene's XML, hash of all files, path depth (-1 without bound), and whether lights are hidden."""
 
     text: str
     fingerprint: str

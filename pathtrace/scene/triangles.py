@@ -22,10 +22,7 @@ _CLEARANCE_DIRECTIONS, _DIRECTIONS = 256, 96
 
 
 def triangles_of(shape: mi.Shape) -> Array | None:
-    """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported.
-
-    UserError if a face has a vertex that the shape does not have, about which Mitsuba does not care.
-    """
+    """(M, 3, 3) corners of a shape's triangles in the world, None if unsupported; UserError if damaged."""
     parameters = mi.traverse(shape)
     if "vertex_positions" in parameters:
         vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
@@ -92,10 +89,7 @@ class Surfaces:
             TriangleMesh(self._embree, np.ascontiguousarray(corners, dtype=np.float32))
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """(N,) distance to the first surface along rays from points (N, 3) in unit directions (N, 3).
-
-        It is inf where there is none.
-        """
+        """(N,) distance to surfaces along rays from points (N, 3) in unit directions (N, 3); else inf."""
         if not len(origins):
             # Of no rays, Dr.Jit aborts the process.
             return np.zeros(0)

@@ -106,10 +106,7 @@ def opaque_camera(camera: Camera) -> mi.Float:
 def ray_through(
     camera: mi.Float, x: mi.Float, y: mi.Float, number: mi.UInt32 | int = 0
 ) -> mi.RayDifferential3f:
-    """Rays of an `opaque_camera` through film coordinates x and y, (N,) Dr.Jit floats.
-
-    Of several cameras, joined end to end, `number` says which one a ray is of.
-    """
+    """Rays of an `opaque_camera`, or of several by their `number`, through film coordinates x and y, (N,)."""
     values = [dr.gather(mi.Float, camera, 12 * number + i) for i in range(12)]
     origin = mi.Point3f(*values[:3])
     ax, ay, az = (mi.Vector3f(*values[i : i + 3]) for i in (3, 6, 9))
@@ -219,11 +216,7 @@ class Lanes:
         return Lanes(count, active, index, sample, first, spp)
 
     def sequences(self, positions: FilmPositions, offset: mi.UInt32, pattern: mi.UInt32) -> Sequences:
-        """The Sobol sequences of the lanes' samples, one for each position.
-
-        The offset is how many samples were drawn from each position's sequence before, one number for all or
-        (N,).
-        """
+        """The Sobol sequences of positions, of which `offset` samples, one number or (N,), were drawn."""
         x, y = (dr.reinterpret_array(mi.UInt32, self._gathered(side)) for side in (positions.x, positions.y))
         if dr.width(offset) > 1:
             offset = self._gathered(offset)
@@ -242,10 +235,7 @@ class Lanes:
         return dr.gather(type(values), values, self.index, self.active)
 
     def sums(self, channels: list[Any]) -> list[Any]:
-        """(N,) sums of each channel, one value per lane, over each position's samples.
-
-        The same input gives the same bits, and no position's samples touch the sums of others.
-        """
+        """(N,) sums of each channel, one value per lane, over the samples of each position alone."""
         # One kernel, even if the channels have not been computed yet.
         dr.eval(channels)
         if self.spp == 1:
@@ -339,10 +329,7 @@ class Batch:
         return self.lanes.sequences(self.positions, self.offset, mixed_seeds(self.pattern))
 
     def rays(self, *others: object) -> tuple[Any, ...]:
-        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them.
-
-        Computed in one kernel with `others`.
-        """
+        """Film coordinates x and y, mask and camera of all lanes; in one kernel with others."""
         x, y = self.lanes.sample_positions(self.positions, self.sequences)
         active = self.lanes.active
         dr.eval(x, y, active, others)
@@ -371,10 +358,7 @@ def mixed_seeds(entropy: int | list[int]) -> mi.UInt32:
 
 
 def fractional_counts(spp: float, positions: int, seed: int) -> int | NDArray[np.int64]:
-    """Samples of each of N positions, with mean `spp`: the whole numbers below and above it, shuffled.
-
-    Returns `spp` itself, at least 1, if it is a whole number, else (N,) counts; their sum is spp N, rounded.
-    """
+    """Whole numbers of samples (N,) with mean `spp`, shuffled; `spp` itself if it is whole."""
     whole = math.floor(spp)
     if spp == whole:
         return whole

@@ -192,9 +192,8 @@ def auxiliary_hits(
 def auxiliary_features(
     hits: FirstHits, ray: mi.Ray3f, active: mi.Bool, movers: Sequence[tuple[int, int]] = ()
 ) -> AuxiliaryFeatures:
-    """Auxiliary features of what rays see, without antialiasing.
+    """Auxiliary features of what rays see, without antialiasing, also in mirrors and behind clear glass.
 
-    Behind mirrors and clear glass, albedo and normal are those of what they show: denoising needs them there.
     Movers are the numbers by which kernels know a shape that moves, and those that samples of it have.
     """
     hit, last = active & hits.surface.is_valid(), hits.last

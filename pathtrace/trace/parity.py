@@ -62,8 +62,7 @@ class Parity:
 def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None = None) -> Parity:
     """Compares small pictures of a scene, as it was loaded from a source, with those of `mitsuba.render`.
 
-    Mitsuba's `path` or `volpath` stands for an integrator that it does not have. UserError if it cannot
-    render.
+    Where Mitsuba lacks its integrator, `path` or `volpath` stands in. UserError if it cannot render.
     """
     causes, integrator, by = list[str](), None, "Mitsuba"
     if scene.moving is not None:

@@ -89,10 +89,7 @@ class PathCosts:
 
 
 def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: int) -> DepthShares:
-    """How much paths of each length bring to what cameras see; unbiased, without a bound on their length.
-
-    Each view has a number of samples, which are spread over its frame.
-    """
+    """How much paths of each length bring to what cameras see, by a number of unbiased samples of each."""
     count = -(-samples // _PARTS)
     _, bins = _traced(scene, cameras, count, [(UNBOUNDED, _ROULETTE)] * _PARTS, seed)
     return DepthShares(bins.sums.numpy().reshape(_PARTS, MOST_SEGMENTS) / (count * len(cameras)))

@@ -104,10 +104,7 @@ def _doubled(image: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
 
 
 class _Values:
-    """The values of an image of a shape (H, W, 3), one lane each, and where they are in a source image.
-
-    Their rows and columns are signed integers.
-    """
+    """Where values of an image (H, W, 3), one lane each, are in a source; rows and columns are signed."""
 
     def __init__(self, source: mi.TensorXf, shape: tuple[int, ...]):
         Int = dr.int32_array_t(type(source.array))
@@ -148,8 +145,7 @@ def trace_image(
 ) -> TracedImage:
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
-    There are H * W film positions in the camera's coordinates, row by row from the top, in W columns.
-    Auxiliary features guide the denoiser. Same seed, same image.
+    Film positions in the camera's coordinates are those of H rows from the top with W columns.
     """
     traced, features = tracer.trace_with_features(camera, positions, spp, seed)
     channels = traced.radiance, features.albedo, features.normal
@@ -176,10 +172,7 @@ def radiance_image(
 def auxiliary_images(
     tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, pattern: int
 ) -> tuple[Image, Image]:
-    """Albedo and normal, (H, W, 3) each, with `spp` samples per pixel; other arguments as in `trace_image`.
-
-    The pattern is the seed of the radiance, so that both have the same sample positions and edges.
-    """
+    """Albedo and normal, (H, W, 3) each; the pattern is the seed of the radiance, whose edges they have."""
     features = tracer.auxiliary(camera, positions, spp, pattern)
     return _image(features.albedo, columns), _image(features.normal, columns)
 

@@ -59,10 +59,7 @@ _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 
 @dataclass(frozen=True)
 class Traced:
-    """Radiance at N film positions: linear means, and means of its squares, three (N,) Dr.Jit floats each.
-
-    Auxiliary features are those of the same sample positions; there are none if they were not asked for.
-    """
+    """Means of radiance and of its squares, three (N,) Dr.Jit floats each, and features if asked for."""
 
     radiance: list[Any]
     squares: list[Any]
@@ -238,10 +235,7 @@ class Tracer:
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
     def _traced(self, batch: Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
-        """Means over the samples of a batch, and what the first of each position shows, as in `_sums`.
-
-        The seeds are that of the frame, and the number of the part of it.
-        """
+        """Means over a batch's samples, and what the first shows, as `_sums`; seeds of frame and part."""
         seed, part = seeds
         sums, first = list[Any](), list[Any]()
         for number, share in enumerate(batch.passes(_MAX_LANES)):
