@@ -173,7 +173,7 @@ def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
             times[asks].append(time.perf_counter() - start)
     # The first of each kind compiles.
     seconds = {asks: float(np.median(measured[1:])) for asks, measured in times.items()}
-    count = max(int(np.count_nonzero(valid)), 1) * _LOOK_UPS
+    count = max(int(np.count_nonzero(valid.numpy())), 1) * _LOOK_UPS
     return 1e9 * max(seconds[True] - seconds[False], 0.0) / count
 
 

@@ -28,21 +28,14 @@ _SMALLEST = 1e-20
 
 @dataclass(frozen=True, eq=False)
 class IrradianceCache:
-    """Irradiance of C cells, by the number of path segments that it took from a light at most.
-
-    Attributes:
-        cells: the cells.
-        irradiance: (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
-        lights: chances with which paths choose lights.
-        transfer: what it takes to follow lights that change.
-        renewed: share of the work that was done to follow their last change; below 1, some light is an
-            estimate.
-    """
+    """Irradiance of C cells, by the number of path segments that it took from a light at most."""
 
     cells: Cells
+    # (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
     irradiance: NDArray[np.float32]
-    lights: LightChoice
-    transfer: Transfer
+    lights: LightChoice  # chances with which paths choose lights
+    transfer: Transfer  # what it takes to follow lights that change
+    # Share of the work that was done to follow their last change; below 1, some light is an estimate.
     renewed: float = 1.0
 
     @staticmethod

@@ -84,22 +84,15 @@ class Links:
 
 @dataclass(frozen=True, eq=False)
 class Transport:
-    """What C cells receive from each other, by way of P patches.
+    """What C cells receive from each other, by way of P patches."""
 
-    Attributes:
-        patches: of the cells.
-        rays: (P,) number of rays from each patch.
-        starts: (B * P + 1,) where the links of each patch start; those of rays that met no mirror, glossy or
-            glass surface on the way, then those of rays that met one, and so on.
-        cells: (L,) cell that each link leads to.
-        reflectance: (3, L) sum over the rays of each link, one row per colour channel.
-    """
-
-    patches: Patches
-    rays: NDArray[np.int32]
+    patches: Patches  # of the cells
+    rays: NDArray[np.int32]  # (P,) number of rays from each patch
+    # (B * P + 1,) where the links of each patch start; those of rays that met no mirror, glossy or glass
+    # surface on the way, then those of rays that met one, and so on.
     starts: NDArray[np.int32]
-    cells: NDArray[np.int32]
-    reflectance: NDArray[np.float32]
+    cells: NDArray[np.int32]  # (L,) cell that each link leads to
+    reflectance: NDArray[np.float32]  # (3, L) sum over the rays of each link, one row per colour channel
 
     @staticmethod
     def of(links: Links, patches: Patches, patch: NDArray[np.int32]) -> Transport:
@@ -186,28 +179,19 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Points in P patches and R regions, their direct light, and the transport of light from there.
+    """Points in P patches and R regions, their direct light, and the transport of light from there."""
 
-    Attributes:
-        points: N, in random order.
-        patch: (N,) int32 patch of each.
-        rays: from these points, in random order.
-        direct: (P, 3) sums over each patch's points of the irradiance from lights.
-        reflected: (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy
-            surfaces and glass.
-        passed: (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
-        transport: of light between all C cells.
-        known: (C,) mask of the cells that the cache answers from.
-    """
-
-    points: Points
-    patch: NDArray[np.int32]
-    rays: Rays
-    direct: NDArray[np.float32]
+    points: Points  # N, in random order
+    patch: NDArray[np.int32]  # (N,) int32 patch of each
+    rays: Rays  # from these points, in random order
+    direct: NDArray[np.float32]  # (P, 3) sums over each patch's points of the irradiance from lights
+    # (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy surfaces
+    # and glass.
     reflected: NDArray[np.float32]
+    # (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
     passed: NDArray[np.float32]
-    transport: Transport
-    known: NDArray[np.bool_]
+    transport: Transport  # of light between all C cells
+    known: NDArray[np.bool_]  # (C,) mask of the cells that the cache answers from
 
     @staticmethod
     def none() -> Transfer:

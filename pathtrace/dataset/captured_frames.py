@@ -25,24 +25,16 @@ _HALVES = 2
 
 @dataclass(frozen=True)
 class CapturedFrame:
-    """A captured view.
+    """A captured view."""
 
-    Attributes:
-        radiance: (H, W, 3) linear, denoised.
-        albedo: (H, W, 3).
-        normal: (H, W, 3) shading normal in world space.
-        depth: (H, W) along the view axis to the first surface; inf where nothing is hit.
-        unfolded: (H, W) distance along the ray, continued through flat mirrors and panes; inf
-            where nothing is hit, and for the sky in a flat mirror or behind a pane.
-        shape: (H, W) int32 shape index; -1 where nothing is hit.
-    """
-
-    radiance: Image
-    albedo: Image
-    normal: Image
-    depth: Image
+    radiance: Image  # (H, W, 3) linear, denoised
+    albedo: Image  # (H, W, 3)
+    normal: Image  # (H, W, 3) shading normal in world space
+    depth: Image  # (H, W) along the view axis to the first surface; inf where nothing is hit
+    # (H, W) distance along the ray, continued through flat mirrors and panes; inf where nothing is hit,
+    # and for the sky in a flat mirror or behind a pane.
     unfolded: Image
-    shape: NDArray[np.int32]
+    shape: NDArray[np.int32]  # (H, W) int32 shape index; -1 where nothing is hit
 
 
 # What the files of a view hold: of each part, the prefix, names and type of its channels.

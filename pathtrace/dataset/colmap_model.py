@@ -73,19 +73,12 @@ class ModelImage:
 
 @dataclass(frozen=True)
 class ModelPoints:
-    """M points, each of which is known from one image.
+    """M points, each of which is known from one image."""
 
-    Attributes:
-        positions: (M, 3) in the world.
-        colours: (M, 3) uint8, sRGB.
-        images: (M,) index of the image, ascending.
-        pixels: (M, 2) where it is seen there.
-    """
-
-    positions: Array
-    colours: NDArray[np.uint8]
-    images: NDArray[np.int64]
-    pixels: Array
+    positions: Array  # (M, 3) in the world
+    colours: NDArray[np.uint8]  # (M, 3) uint8, sRGB
+    images: NDArray[np.int64]  # (M,) index of the image, ascending
+    pixels: Array  # (M, 2) where it is seen there
 
 
 @dataclass(frozen=True)

@@ -112,44 +112,28 @@ def _folds(x: Array, y: Array) -> bool:
 
 @dataclass(frozen=True)
 class PosedImage:
-    """An image of a known camera and time.
+    """An image of a known camera and time."""
 
-    Attributes:
-        camera: the view without the distortion of its lens, in the size of the image.
-        lens: its distortion; None if there is none.
-        file: the image, PNG or JPEG in sRGB, with or without alpha.
-        labels: an image of the same size that shows what moves; None if nobody says.
-        time: that it shows, from 0 to 1.
-        held_out: whether training must not see it.
-    """
-
-    camera: Camera
-    lens: Lens | None
-    file: Path
-    labels: Path | None
-    time: float
-    held_out: bool
+    camera: Camera  # the view without the distortion of its lens, in the size of the image
+    lens: Lens | None  # its distortion; None if there is none
+    file: Path  # the image, PNG or JPEG in sRGB, with or without alpha
+    labels: Path | None  # an image of the same size that shows what moves; None if nobody says
+    time: float  # that it shows, from 0 to 1
+    held_out: bool  # whether training must not see it
 
 
 @dataclass(frozen=True)
 class PosedFolder:
-    """A folder of posed images.
+    """A folder of posed images."""
 
-    Attributes:
-        folder, layout: the folder, and the name of its layout.
-        scene_name: the folder's name, as far as it can be that of a scene.
-        scene_hash: SHA-256 of the images and of all that is known of them.
-        images: training and held-out ones, in the order of the folder.
-        points: (M, 3) float64, some of what the images show, in world space; None if none are known.
-        bounds: distances between which everything lies that they show; None if nobody says.
-    """
-
-    folder: Path
+    folder: Path  # the folder, and the name of its layout
     layout: str
-    scene_name: str
-    scene_hash: str
-    images: list[PosedImage]
+    scene_name: str  # the folder's name, as far as it can be that of a scene
+    scene_hash: str  # SHA-256 of the images and of all that is known of them
+    images: list[PosedImage]  # training and held-out ones, in the order of the folder
+    # (M, 3) float64, some of what the images show, in world space; None if none are known.
     points: NDArray[np.float64] | None = None
+    # Distances between which everything lies that they show; None if nobody says.
     bounds: tuple[float, float] | None = None
 
     @property
@@ -175,19 +159,13 @@ class PosedFolder:
 
 @dataclass(frozen=True)
 class PosedPixels:
-    """What a posed image shows, without the distortion of its lens.
+    """What a posed image shows, without the distortion of its lens."""
 
-    Attributes:
-        camera: the view; smaller than the image where a margin had to be cut off.
-        radiance: (H, W, 3) float32, linear; over white where the image has alpha, as is convention.
-        alpha: (H, W) float32 from 0 to 1, 0 where nothing is; None if the image is opaque.
-        moving: (H, W) bool, what moves; None if nobody says.
-    """
-
-    camera: Camera
-    radiance: Image
+    camera: Camera  # the view; smaller than the image where a margin had to be cut off
+    radiance: Image  # (H, W, 3) float32, linear; over white where the image has alpha, as is convention
+    # (H, W) float32 from 0 to 1, 0 where nothing is; None if the image is opaque.
     alpha: NDArray[np.float32] | None
-    moving: NDArray[np.bool_] | None
+    moving: NDArray[np.bool_] | None  # (H, W) bool, what moves; None if nobody says
 
 
 def read_size(path: Path) -> tuple[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -274,11 +275,11 @@ def _path_ends(scene: AnyScene, camera: Camera, count: int, seed: int) -> Points
     sampler = random_numbers(dr.opaque(mi.UInt32, seed), count)
     width, height = dr.opaque(mi.Float, camera.width), dr.opaque(mi.Float, camera.height)
     ray = ray_through(opaque_camera(camera), sampler.next_1d() * width, sampler.next_1d() * height)
-    seen = first_hits(scene, ray, mi.Bool(True)).last
+    seen: Any = first_hits(scene, ray, mi.Bool(True)).last
     valid = seen.is_valid()
     sample, weight = seen.bsdf().sample(mi.BSDFContext(), seen, sampler.next_1d(), sampler.next_2d(), valid)
     valid &= dr.max(weight) > 0
-    hit = first_hits(scene, seen.spawn_ray(seen.to_world(sample.wo)), valid).last
+    hit: Any = first_hits(scene, seen.spawn_ray(seen.to_world(sample.wo)), valid).last
     valid &= hit.is_valid() & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
     found = [(at.p, mi.Vector3f(dr.select(at.wi.z > 0, at.n, -at.n)), valid) for at in (seen, hit)]
     dr.eval(found)

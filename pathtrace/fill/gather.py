@@ -46,14 +46,14 @@ _ANY_AREA = 1e9
 class Followed:
     """What M rays found, as in `Seen`, but for the last surface, and the normal of its lit side."""
 
-    radiance: Any
-    passed: Any
-    hit: Any
-    side: Any
-    valid: Any
-    shiny: Any
-    bounces: Any
-    reflectance: Any
+    radiance: mi.Color3f
+    passed: mi.UInt32
+    hit: mi.SurfaceInteraction3f
+    side: mi.Normal3f
+    valid: mi.Bool
+    shiny: mi.Bool
+    bounces: mi.UInt32
+    reflectance: mi.Color3f
 
 
 def surfaces_at(places: tuple[Any, Any], index: mi.UInt32, active: mi.Bool = True) -> mi.SurfaceInteraction3f:
@@ -177,28 +177,20 @@ def followed(
 
 @dataclass(frozen=True)
 class Seen:
-    """What M rays from points found.
+    """What M rays from points found."""
 
-    Attributes:
-        point: (M,) index of the point that each started at.
-        square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        radiance: (M, 3) of lights in mirrors, glossy surfaces and glass, but for one hit first.
-        passed: (M,) number of such surfaces on the way to them, at least 1; of several ways one by chance.
-        hits: the M points that they hit last.
-        valid: (M,) whether a ray hit a surface that reflects irradiance.
-        shiny: (M,) whether the surface that it hit first may show lights.
-        bounces: (M,) mirrors, glossy and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point; 0 if not valid.
-    """
-
-    point: NDArray[np.int64]
+    point: NDArray[np.int64]  # (M,) index of the point that each started at
+    # (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
     square: NDArray[np.float32]
+    # (M, 3) of lights in mirrors, glossy surfaces and glass, but for one hit first.
     radiance: NDArray[np.float32]
+    # (M,) number of such surfaces on the way to them, at least 1; of several ways one by chance.
     passed: NDArray[np.int64]
-    hits: Points
-    valid: NDArray[np.bool_]
-    shiny: NDArray[np.bool_]
-    bounces: NDArray[np.int64]
+    hits: Points  # the M points that they hit last
+    valid: NDArray[np.bool_]  # (M,) whether a ray hit a surface that reflects irradiance
+    shiny: NDArray[np.bool_]  # (M,) whether the surface that it hit first may show lights
+    bounces: NDArray[np.int64]  # (M,) mirrors, glossy and glass surfaces on the way
+    # (M, 3) share of the irradiance of what was hit that arrives at the point; 0 if not valid.
     reflectance: NDArray[np.float32]
 
     @staticmethod

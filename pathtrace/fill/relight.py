@@ -116,8 +116,8 @@ class Part:
 
     points: slice
     rays: slice
-    sampled: tuple[Any, ...]
-    shown: tuple[Any, ...]
+    sampled: tuple[mi.Float, ...]
+    shown: tuple[mi.Float, ...]
     numbers: NDArray[np.uint32]
 
     def direct(self) -> NDArray[np.float32]:

@@ -22,19 +22,13 @@ _STEP = 1e-6
 class Sampler:
     """Values over time; before the first keyframe and after the last one, they are those of it.
 
-    Attributes:
-        times: (K,) of the keyframes in seconds, ascending.
-        values: (K, C); (K, 3, C) of cubic splines: in-tangents, values and out-tangents.
-        interpolation: LINEAR, STEP or CUBICSPLINE.
-        is_rotation: whether values are quaternions (x, y, z, w), which turn at a constant speed.
-
     ValueError if times do not ascend, or are not as many as the values, or a quaternion has no length.
     """
 
-    times: Array
-    values: Array
-    interpolation: str
-    is_rotation: bool
+    times: Array  # (K,) of the keyframes in seconds, ascending
+    values: Array  # (K, C); (K, 3, C) of cubic splines: in-tangents, values and out-tangents
+    interpolation: str  # LINEAR, STEP or CUBICSPLINE
+    is_rotation: bool  # whether values are quaternions (x, y, z, w), which turn at a constant speed
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.values):

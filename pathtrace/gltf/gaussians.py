@@ -21,25 +21,15 @@ _MOST_DEGREES = 3
 
 @dataclass(frozen=True)
 class StoredGaussians:
-    """N Gaussians of a node.
+    """N Gaussians of a node."""
 
-    Attributes:
-        to_world: (4, 4) of the node.
-        positions: (N, 3) of their centres, in the coordinates of the node.
-        rotations: (N, 4) quaternions (x, y, z, w), not all 0.
-        scales: (N, 3) standard deviations along the principal axes, 0 or more.
-        opacities: (N,) from 0 to 1.
-        sh: (N, K, 3) spherical harmonics of the colour minus 0.5, K = (degree + 1)^2.
-        is_linear: whether that colour is linear, rather than on the sRGB curve; it is what is blended.
-    """
-
-    to_world: Array
-    positions: Array
-    rotations: Array
-    scales: Array
-    opacities: Array
-    sh: Array
-    is_linear: bool
+    to_world: Array  # (4, 4) of the node
+    positions: Array  # (N, 3) of their centres, in the coordinates of the node
+    rotations: Array  # (N, 4) quaternions (x, y, z, w), not all 0
+    scales: Array  # (N, 3) standard deviations along the principal axes, 0 or more
+    opacities: Array  # (N,) from 0 to 1
+    sh: Array  # (N, K, 3) spherical harmonics of the colour minus 0.5, K = (degree + 1)^2
+    is_linear: bool  # whether that colour is linear, rather than on the sRGB curve; it is what is blended
 
 
 def read_gaussians(document: Document, remarks: list[str]) -> list[StoredGaussians]:

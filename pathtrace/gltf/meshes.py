@@ -48,33 +48,19 @@ class Skin:
 
 @dataclass(frozen=True)
 class Primitive:
-    """A part of the mesh of a node, of one material.
+    """A part of the mesh of a node, of one material."""
 
-    Attributes:
-        name: of the node or its mesh, for people.
-        node: its number.
-        material: number of the material; None of one without.
-        faces: (F, 3) indices of vertices.
-        positions: (V, 3) of vertices, before they are morphed, in the coordinates of the mesh.
-        normals: (V, 3), or None: faces are flat.
-        uvs: (V, 2) by the number of their set.
-        colours: (V, 3) linear factors on the base colour, or None.
-        targets: (M, V, 3) displacements of the morph targets.
-        default_weights: (M,) of them, as the mesh has them.
-        skin: None of a mesh that follows its node alone.
-    """
-
-    name: str
-    node: int
-    material: int | None
-    faces: Faces
-    positions: Array
-    normals: Array | None
-    uvs: dict[int, Array]
-    colours: Array | None
-    targets: Array
-    default_weights: Array
-    skin: Skin | None
+    name: str  # of the node or its mesh, for people
+    node: int  # its number
+    material: int | None  # number of the material; None of one without
+    faces: Faces  # (F, 3) indices of vertices
+    positions: Array  # (V, 3) of vertices, before they are morphed, in the coordinates of the mesh
+    normals: Array | None  # (V, 3), or None: faces are flat
+    uvs: dict[int, Array]  # (V, 2) by the number of their set
+    colours: Array | None  # (V, 3) linear factors on the base colour, or None
+    targets: Array  # (M, V, 3) displacements of the morph targets
+    default_weights: Array  # (M,) of them, as the mesh has them
+    skin: Skin | None  # None of a mesh that follows its node alone
 
     def vertices(self, nodes: Nodes, times: Array) -> Iterator[Array]:
         """(V, 3) in the world at each of the times (T,) in seconds."""

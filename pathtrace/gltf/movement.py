@@ -96,21 +96,13 @@ def as_json(keyframes: list[Keyframe], about: Array) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Movement:
-    """Where a primitive is over time.
+    """Where a primitive is over time."""
 
-    Attributes:
-        rest: (V, 3) its vertices in the world at time 0.
-        bounds: (2, 3) lowest and highest corner at any time.
-        about: (3,) the point that it turns around.
-        keyframes: of its rigid motion; empty if there is none.
-        meshes: (T, V, 3) at equal steps of time, of what deforms; else T is 0.
-    """
-
-    rest: Array
-    bounds: Array
-    about: Array
-    keyframes: list[Keyframe]
-    meshes: Array
+    rest: Array  # (V, 3) its vertices in the world at time 0
+    bounds: Array  # (2, 3) lowest and highest corner at any time
+    about: Array  # (3,) the point that it turns around
+    keyframes: list[Keyframe]  # of its rigid motion; empty if there is none
+    meshes: Array  # (T, V, 3) at equal steps of time, of what deforms; else T is 0
 
 
 class Times:

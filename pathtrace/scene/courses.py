@@ -29,21 +29,13 @@ _NEIGHBOURS = 16
 
 @dataclass(frozen=True)
 class Course:
-    """Where a shape, or a piece of one that deforms, is over time.
+    """Where a shape, or a piece of one that deforms, is over time."""
 
-    Attributes:
-        name: its id in the scene's file.
-        shape: its index among the shapes of the scene, which frames have per pixel.
-        rotations: (T, 4) unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1.
-        centre: (3,) a point of it at rest, in the coordinates of the frames' cameras.
-        shifts: (T, 3) how far that point is from rest.
-    """
-
-    name: str
-    shape: int
-    rotations: Array
-    centre: Array
-    shifts: Array
+    name: str  # its id in the scene's file
+    shape: int  # its index among the shapes of the scene, which frames have per pixel
+    rotations: Array  # (T, 4) unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1
+    centre: Array  # (3,) a point of it at rest, in the coordinates of the frames' cameras
+    shifts: Array  # (T, 3) how far that point is from rest
 
     def as_json(self) -> dict[str, Any]:
         """In types that JSON has."""

@@ -35,19 +35,14 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class Optics:
-    """How cameras see a scene.
+    """How cameras see a scene."""
 
-    Attributes:
-        hides_emitters: whether area lights and the sky are hidden from them, but not their light.
-        clips: depths of clipping planes in the scene's unit; None if they cut nothing off.
-        medium: the participating medium in which cameras are, of Mitsuba; None if they are in none.
-        has_media: whether there are participating media that matter, which `volpath` traces, and no cache
-            stands for.
-    """
-
-    hides_emitters: bool = False
+    hides_emitters: bool = False  # whether area lights and the sky are hidden from them, but not their light
+    # Depths of clipping planes in the scene's unit; None if they cut nothing off.
     clips: tuple[float, float] | None = None
+    # The participating medium in which cameras are, of Mitsuba; None if they are in none.
     medium: mi.Medium | None = None
+    # Whether there are participating media that matter, which `volpath` traces, and no cache stands for.
     has_media: bool = False
 
     @staticmethod

@@ -31,22 +31,16 @@ _SURVIVAL = 0.95
 
 @dataclass(frozen=True)
 class PathSettings:
-    """How paths are traced; part of the kernel, except for depths that are opaque (mi.UInt32).
+    """How paths are traced; part of the kernel, except for depths that are opaque (mi.UInt32)."""
 
-    Attributes:
-        max_depth: number of path segments at most; below 0 for no bound.
-        roulette_depth: depth from which Russian roulette may end paths.
-        shadow_rays: at the first surface that scatters light; 1 at all others.
-        thin_glass: whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it is no
-            path segment, and what lies behind it is sampled as a light and as a direction.
-        most_indirect: what indirect light of the first surface that scatters may add to a path at once, in
-            its largest channel; None for no bound, without which the result is unbiased.
-    """
-
-    max_depth: Any
-    roulette_depth: Any
-    shadow_rays: int
+    max_depth: int | mi.UInt32  # number of path segments at most; below 0 for no bound
+    roulette_depth: int | mi.UInt32  # depth from which Russian roulette may end paths
+    shadow_rays: int  # at the first surface that scatters light; 1 at all others
+    # Whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it is no path
+    # segment, and what lies behind it is sampled as a light and as a direction.
     thin_glass: bool = False
+    # What indirect light of the first surface that scatters may add to a path at once, in its largest
+    # channel; None for no bound, without which the result is unbiased.
     most_indirect: float | None = None
 
 

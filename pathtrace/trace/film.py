@@ -46,10 +46,10 @@ class FilmPositions:
     Sizes are in pixels, one for all or (N,) Dr.Jit floats.
     """
 
-    x: Any
-    y: Any
-    width: Any = 1.0
-    height: Any = 1.0
+    x: mi.Float
+    y: mi.Float
+    width: mi.Float | float = 1.0
+    height: mi.Float | float = 1.0
 
     @property
     def count(self) -> int:
@@ -147,16 +147,11 @@ class Sequences:
 
     They are unbiased, but edges, soft shadows and auxiliary features have far less noise, and later samples
     fill the gaps that earlier ones left.
-
-    Attributes:
-        tables: of `sobol_tables`.
-        number: (N,) number of each lane's sample in its sequence.
-        scramble: two (N,) Dr.Jit integers that select the scrambling.
     """
 
-    tables: list[Any]
-    number: Any
-    scramble: tuple[Any, Any]
+    tables: list[mi.UInt32]  # of `sobol_tables`
+    number: mi.UInt32  # (N,) number of each lane's sample in its sequence
+    scramble: tuple[mi.UInt32, mi.UInt32]  # two (N,) Dr.Jit integers that select the scrambling
 
     def point(self, pair: int, number: mi.UInt32) -> tuple[Any, Any]:
         """Coordinates in 0..1 of each sequence's point of a number (N,), in one pair of dimensions."""
@@ -174,23 +169,14 @@ class Sequences:
 
 @dataclass(frozen=True)
 class Lanes:
-    """Assignment of lanes to samples; the samples of a position lie side by side.
+    """Assignment of lanes to samples; the samples of a position lie side by side."""
 
-    Attributes:
-        count: lanes in use; the others are padding.
-        active: mask of the lanes in use.
-        index: film position of each lane.
-        sample: number of each lane's sample among those of its position, from 0.
-        first: (N,) lane of each position's first sample.
-        spp: samples per position, one number for all or Counts of N positions.
-    """
-
-    count: int
-    active: Any
-    index: Any
-    sample: Any
-    first: Any
-    spp: int | Counts
+    count: int  # lanes in use; the others are padding
+    active: mi.Bool  # mask of the lanes in use
+    index: mi.UInt32  # film position of each lane
+    sample: mi.UInt32  # number of each lane's sample among those of its position, from 0
+    first: mi.UInt32  # (N,) lane of each position's first sample
+    spp: int | Counts  # samples per position, one number for all or Counts of N positions
 
     @staticmethod
     def of(positions: int, spp: int | Counts) -> Lanes:
@@ -266,7 +252,7 @@ class Batch:
     camera: Camera
     positions: FilmPositions
     spp: int | Counts
-    offset: Any
+    offset: mi.UInt32
     pattern: int
 
     @staticmethod

@@ -28,42 +28,29 @@ _SCATTERS = int(mi.BSDFFlags.All) & ~int(mi.BSDFFlags.Null)
 
 @dataclass(frozen=True)
 class FirstHits:
-    """First hits of rays; Dr.Jit arrays, one entry per ray.
+    """First hits of rays; Dr.Jit arrays, one entry per ray."""
 
-    Attributes:
-        surface: interaction with the first surface; invalid where nothing is hit.
-        last: interaction at the end of the path through mirrors and clear glass; invalid if that leaves the
-            scene.
-        unfolded: length of this path; that of its part within the scene if it leaves the scene.
-        throughput: share of light that mirrors and glass on the path pass on, per colour channel.
-        flat: whether all of them are flat mirrors: what those show appears to stand still behind them.
-    """
-
-    surface: Any
-    last: Any
-    unfolded: Any
-    throughput: Any
-    flat: Any
+    surface: mi.SurfaceInteraction3f  # interaction with the first surface; invalid where nothing is hit
+    # Interaction at the end of the path through mirrors and clear glass; invalid if that leaves the
+    # scene.
+    last: mi.SurfaceInteraction3f
+    unfolded: mi.Float  # length of this path; that of its part within the scene if it leaves the scene
+    throughput: mi.Color3f  # share of light that mirrors and glass on the path pass on, per colour channel
+    flat: mi.Bool  # whether all of them are flat mirrors: what those show appears to stand still behind them
 
 
 @dataclass(frozen=True)
 class AuxiliaryFeatures:
-    """Features that denoising and fusion use, of N film positions or rays; linear Dr.Jit floats.
+    """Features that denoising and fusion use, of N film positions or rays; linear Dr.Jit floats."""
 
-    Attributes:
-        albedo: three (N,) arrays; 0 for the sky.
-        normal: three (N,) arrays, shading normal in world space; 0 for the sky.
-        position: three (N,) arrays, apparent position in the world of what is seen: on the surface that is
-            hit, or behind a flat mirror.
-        gloss: (N,) class of gloss of what is seen: DIFFUSE, GLOSSY or SPECULAR.
-        mover: (N,) its number among what moves (compose.base.traced_samples); None where nothing does.
-    """
-
-    albedo: list[Any]
-    normal: list[Any]
-    position: list[Any]
-    gloss: Any
-    mover: Any = None
+    albedo: list[mi.Float]  # three (N,) arrays; 0 for the sky
+    normal: list[mi.Float]  # three (N,) arrays, shading normal in world space; 0 for the sky
+    # Three (N,) arrays, apparent position in the world of what is seen: on the surface that is hit, or
+    # behind a flat mirror.
+    position: list[mi.Float]
+    gloss: mi.Float  # (N,) class of gloss of what is seen: DIFFUSE, GLOSSY or SPECULAR
+    # (N,) its number among what moves (compose.base.traced_samples); None where nothing does.
+    mover: mi.Float | None = None
 
     @property
     def of_first(self) -> list[Any]:
@@ -235,18 +222,13 @@ _STEPS, _REACH = 32, 4.0
 
 @dataclass(frozen=True)
 class Veil:
-    """What media do to what N rays see behind them.
+    """What media do to what N rays see behind them."""
 
-    Attributes:
-        half: (N,) distance along the ray at which half of the light is left, where hardly any arrives; inf
-            where what lies behind is still seen.
-        transmittance: (N,) share of the light that arrives, mean over the channels.
-        albedo: (N,) colours, of scattering, by the share of the light that is scattered on the way.
-    """
-
-    half: Any
-    transmittance: Any
-    albedo: Any
+    # (N,) distance along the ray at which half of the light is left, where hardly any arrives; inf where
+    # what lies behind is still seen.
+    half: mi.Float
+    transmittance: mi.Float  # (N,) share of the light that arrives, mean over the channels
+    albedo: mi.Color3f  # (N,) colours, of scattering, by the share of the light that is scattered on the way
 
     def over(self, features: AuxiliaryFeatures, ray: mi.Ray3f) -> AuxiliaryFeatures:
         """Auxiliary features of N rays, mixed with those of media, which are matt and face the ray."""

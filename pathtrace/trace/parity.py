@@ -36,22 +36,14 @@ _UNBOUNDED = (1 << 32) - 1
 
 @dataclass(frozen=True)
 class Parity:
-    """How the pictures of a scene compare.
+    """How the pictures of a scene compare."""
 
-    Attributes:
-        theirs, ours: mean radiance of Mitsuba's own picture, and of the one here.
-        parts: number of parts that were compared: blocks, and the whole picture.
-        differing: number of those that differ by more than noise.
-        causes: what may make them differ besides what the scene leaves out, a line each.
-        by: what rendered their picture.
-    """
-
-    theirs: float
+    theirs: float  # mean radiance of Mitsuba's own picture, and of the one here
     ours: float
-    parts: int
-    differing: int
-    causes: tuple[str, ...] = ()
-    by: str = "Mitsuba"
+    parts: int  # number of parts that were compared: blocks, and the whole picture
+    differing: int  # number of those that differ by more than noise
+    causes: tuple[str, ...] = ()  # what may make them differ besides what the scene leaves out, a line each
+    by: str = "Mitsuba"  # what rendered their picture
 
     @property
     def holds(self) -> bool:

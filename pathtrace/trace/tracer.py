@@ -61,25 +61,20 @@ _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 class Traced:
     """Means of radiance and of its squares, three (N,) Dr.Jit floats each, and features if asked for."""
 
-    radiance: list[Any]
-    squares: list[Any]
+    radiance: list[mi.Float]
+    squares: list[mi.Float]
     features: AuxiliaryFeatures | None = None
 
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of the rays through the centres of N film positions.
+    """First hits of the rays through the centres of N film positions."""
 
-    Attributes:
-        distance: (N,) float32, along the unit ray; inf where nothing is hit.
-        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface;
-            inf also for the sky in a flat mirror or behind a pane.
-        shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
-    """
-
-    distance: NDArray[np.float32]
+    distance: NDArray[np.float32]  # (N,) float32, along the unit ray; inf where nothing is hit
+    # (N,) float32, the same, continued through flat mirrors and panes to the first rough surface; inf
+    # also for the sky in a flat mirror or behind a pane.
     unfolded: NDArray[np.float32]
-    shape: NDArray[np.int32]
+    shape: NDArray[np.int32]  # (N,) int32, index of the shape in the scene; -1 where nothing is hit
 
     @property
     def reflected(self) -> NDArray[np.bool_]:
