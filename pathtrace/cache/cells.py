@@ -92,11 +92,11 @@ Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """C cells of a grid by level: (C_l,) their names, sorted, and (C_l,) numbers of points in them."""
+    """C cells of a grid, one level after the other."""
 
     grid: Grid
-    keys: tuple[NDArray[np.uint64], ...]
-    counts: tuple[NDArray[np.int64], ...]
+    keys: tuple[NDArray[np.uint64], ...]  # (C_l,) names of the cells of each level, sorted
+    counts: tuple[NDArray[np.int64], ...]  # (C_l,) numbers of points in them
 
     @staticmethod
     def of(points: Points, grid: Grid, joined: Joined) -> Cells:

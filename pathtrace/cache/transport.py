@@ -70,15 +70,12 @@ def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np
 
 @dataclass(frozen=True)
 class Links:
-    """M rays from points: (M,) indices of the points, and of the cells that they hit, -1 outside the scene.
+    """M rays from points, with the weight that each has in a mean."""
 
-    `bounces` (M,) counts mirrors and glass on the way. `reflectance` (M, 3) is the share of the irradiance of
-    what was hit that arrives; 0 where a ray left the scene.
-    """
-
-    point: NDArray[np.int64]
-    cell: NDArray[np.int64]
-    bounces: NDArray[np.int64]
+    point: NDArray[np.int64]  # (M,) index of the point
+    cell: NDArray[np.int64]  # (M,) index of the cell that it hit, -1 outside the scene
+    bounces: NDArray[np.int64]  # (M,) mirrors and glass on the way
+    # (M, 3) share of the irradiance of what was hit that arrives; 0 where a ray left the scene.
     reflectance: NDArray[np.float32]
 
 
@@ -163,15 +160,11 @@ def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass.
+    """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass."""
 
-    Points are indices (M,); directions lie at squares (M, 2) in 0..1, cosine-weighted around the normal. The
-    weight (M,) of what a ray finds is the irradiance that arrives in this way for each unit of radiance.
-    """
-
-    point: NDArray[np.int32]
-    square: NDArray[np.float32]
-    weight: NDArray[np.float32]
+    point: NDArray[np.int32]  # (M,) index of the point
+    square: NDArray[np.float32]  # (M, 2) direction in 0..1, cosine-weighted around the normal
+    weight: NDArray[np.float32]  # (M,) irradiance that arrives in this way for each unit of radiance
 
     def __len__(self) -> int:
         return len(self.point)

@@ -43,17 +43,12 @@ _BLOCK = 16
 
 @dataclass(frozen=True)
 class FrameError:
-    """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1.
+    """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1."""
 
-    The variance is that of each denoised half, the change that of the denoised frame from half its samples to
-    all. The product of the halves' residuals is their squared bias, and may be negative; its standard
-    deviation is inf if it is not known.
-    """
-
-    variance: float
-    change: float
-    product: float
-    deviation: float
+    variance: float  # of each denoised half
+    change: float  # of the denoised frame from half its samples to all
+    product: float  # of the halves' residuals: their squared bias; may be negative
+    deviation: float  # standard deviation of the product; inf if not known
 
     @property
     def mse(self) -> float:

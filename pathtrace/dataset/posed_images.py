@@ -35,14 +35,12 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 
 @dataclass(frozen=True)
 class Lens:
-    """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
+    """How a lens distorts."""
 
-    Skew is in pixels to the right per unit downwards in the image plane; the divisor has OpenCV's k4 to k6.
-    """
-
-    radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tangential: tuple[float, float] = (0.0, 0.0)
-    skew: float = 0.0
+    radial: tuple[float, float, float] = (0.0, 0.0, 0.0)  # k1, k2, k3
+    tangential: tuple[float, float] = (0.0, 0.0)  # p1, p2
+    skew: float = 0.0  # pixels to the right per unit downwards on the image plane
+    # k4, k5 and k6 of OpenCV, by which the radial part is divided.
     divisor: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def distorted(self, x: Array, y: Array) -> tuple[Array, Array]:

@@ -108,17 +108,13 @@ class Spreading:
 
 @dataclass(frozen=True)
 class Part:
-    """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
-
-    As Dr.Jit arrays, `sampled` holds the irradiance of the points, that of each sample, and its light;
-    `shown` the irradiance by rays; `numbers` are indices of lights by the numbers that kernels know.
-    """
+    """New samples at n points of a `Transfer` and m of its rays; computed when they are read."""
 
     points: slice
     rays: slice
-    sampled: tuple[mi.Float, ...]
-    shown: tuple[mi.Float, ...]
-    numbers: NDArray[np.uint32]
+    sampled: tuple[mi.Float, ...]  # of the points: irradiance, that of each sample, and its light
+    shown: tuple[mi.Float, ...]  # irradiance by the rays
+    numbers: NDArray[np.uint32]  # indices of lights, by the numbers by which kernels know them
 
     def direct(self) -> NDArray[np.float32]:
         """(n, 3) irradiance of the points from lights."""

@@ -27,16 +27,12 @@ _FOV = 45.0
 
 @dataclass(frozen=True)
 class Light:
-    """A light, point, spot or directional, which shines along the negative z of its node.
-
-    Its colour (3,) is times intensity: candela, or lux of a directional light. The cone of a spot is its
-    inner and outer angle, in degrees from its axis.
-    """
+    """A light, point, spot or directional, which shines along the negative z of its node."""
 
     node: int
     kind: str
-    colour: Array
-    cone: tuple[float, float]
+    colour: Array  # (3,) times intensity: candela, or lux of a directional light
+    cone: tuple[float, float]  # of a spot: inner and outer angle in degrees from its axis
 
     def element(self, name: str, pose: Array, scale: float) -> ET.Element:
         """The emitter, where its node is (4, 4), and so many times as bright."""

@@ -28,16 +28,12 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 @dataclass(frozen=True)
 class Skin:
-    """How vertices follow joints (3.7.3), J nodes by their numbers.
-
-    Inverse bind matrices (J, 4, 4) lead from the mesh at rest to each joint. Each vertex follows K joints,
-    (V, K) indices of these, with shares whose sum is 1.
-    """
+    """How vertices follow joints (3.7.3), J nodes by their numbers."""
 
     joints: list[int]
-    to_joints: Array
-    which: NDArray[np.int64]
-    shares: Array
+    to_joints: Array  # (J, 4, 4) inverse bind matrices, from the mesh at rest to each joint
+    which: NDArray[np.int64]  # (V, K) indices of the joints that each vertex follows
+    shares: Array  # (V, K) of these, whose sum is 1
 
     def vertices(self, positions: Array, to_world: list[Array], time: int) -> Array:
         """(V, 3) in the world, of vertices (V, 3) at rest, at one of the times of `to_world`."""

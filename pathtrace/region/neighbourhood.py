@@ -47,14 +47,7 @@ BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x,
 
 
 class Neighbourhood:
-    """The space around a scene's own camera, at the scale of what it sees; UserError if that is nothing.
-
-    Attributes:
-        scene_name, surfaces: of the scene.
-        home: the scene's own camera at the size of the frames.
-        scale: median distance to what it sees.
-        share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
-    """
+    """The space around a scene's own camera, at the scale of what it sees; UserError if that is nothing."""
 
     def __init__(self, scene: Scene, surfaces: Surfaces, width: int, height: int):
         self.scene_name, self.surfaces = scene.name, surfaces
@@ -62,6 +55,7 @@ class Neighbourhood:
         self.scale = surfaces.median_distance(self.home)
         if not np.isfinite(self.scale):
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
+        # Of the reach and the turns that views have in a field of view of ordinary width.
         tangent = min(width / self.home.fx, height / self.home.fy) / 2
         self.share = min(1.0, tangent / _NARROW)
 
@@ -190,14 +184,10 @@ def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) ->
 
 @dataclass(frozen=True)
 class ViewSet:
-    """Chosen cameras, and the times from 0 to 1 that all of them show, the fixed ones first.
+    """Chosen cameras, and the times from 0 to 1 that all of them show, the fixed ones first."""
 
-    Fixed are the scene's own camera, then the same turned to the border of what the others see. The others
-    are spread evenly over positions and directions, or along a path; any of them may be held out of training.
-    """
-
-    fixed: list[Camera]
-    spread: list[Camera]
+    fixed: list[Camera]  # the scene's own, then the same turned to the border of what the others see
+    spread: list[Camera]  # over positions and directions, or along a path; any may be held out of training
     times: list[float]
 
 

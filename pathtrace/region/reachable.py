@@ -61,16 +61,7 @@ _PATCH = 0.12
 
 
 class Measures:
-    """Sizes of the space around a scene's own camera, in units of the scene; UserError if it sees no surface.
-
-    Attributes:
-        size: lower quartile of the distances to surfaces from places that the camera sees.
-        seen: median distance to what the camera sees.
-        reach: from the camera to where the space ends at most.
-        enclosing: distance of the farthest surfaces that enclose a place.
-        is_open: whether the camera stands in the open.
-        low, high: (3,) corners of the box in which the space lies.
-    """
+    """Sizes of the space around a scene's own camera, in the scene's unit; UserError if it sees no surface."""
 
     def __init__(self, scene: Scene, surfaces: Surfaces):
         home, small = scene.camera, scene.camera.resized(12, 12)
@@ -82,12 +73,15 @@ class Measures:
         directions = sphere_directions(_DIRECTIONS)
         places = [home.position + rays * (share * depth)[:, None] for share in (0.25, 0.5, 0.75)]
         around = surfaces.around(np.concatenate(places), directions)
+        # Lower quartile of the distances to surfaces from places that the camera sees.
         self.size = float(np.quantile(around[np.isfinite(around)], 0.25))
         self.seen = float(np.median(depth))
         whole = surfaces.around(home.position[None], sphere_directions(_DIRECTIONS * 4))
         farthest = float(np.quantile(np.append(whole[np.isfinite(whole)], depth), 0.95))
+        # How far the space reaches, and the distance of the farthest surfaces that enclose a place.
         self.reach, self.enclosing = _REACH * farthest, _ENCLOSING * farthest
         self.is_open = bool(np.mean(whole > self.enclosing) > _IN_THE_OPEN)
+        # Corners (3,) of the box in which the space lies.
         margin = _MARGIN * self.size
         low, high = surfaces.bounds
         self.low = np.minimum(low, home.position - margin)

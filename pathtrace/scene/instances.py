@@ -75,12 +75,7 @@ def of_mitsuba(scene: AnyScene) -> mi.Scene:
 
 
 class InstancedScene:
-    """A Mitsuba scene with instances, which finds out by itself what rays hit; all else is the scene's.
-
-    Attributes:
-        whole: the Mitsuba scene.
-        arrays: those that kernels look up what is hit in.
-    """
+    """A Mitsuba scene with instances, which finds out by itself what rays hit; the rest is the whole's."""
 
     def __init__(self, scene: mi.Scene):
         self.whole, self._instances = scene, _instances(scene)

@@ -209,15 +209,12 @@ def _to_world(properties: mi.Properties) -> Array:
 
 @dataclass(frozen=True)
 class Source:
-    """What a scene is loaded from: a name for messages, XML text with its folder, or a dictionary.
+    """What a scene is loaded from."""
 
-    Nodes of the parsed scene that are left out have numbers.
-    """
-
-    name: str
-    content: str | dict[str, Any]
-    folder: Path | None = None
-    left_out: frozenset[int] = frozenset()
+    name: str  # for error messages
+    content: str | dict[str, Any]  # XML text, or a dictionary
+    folder: Path | None = None  # that files of the text are relative to
+    left_out: frozenset[int] = frozenset()  # numbers of nodes of the parsed scene
 
 
 def _load_in_place(source: Source, unit: float, apart: Collection[str]) -> tuple[mi.Scene, Place, float]:

@@ -125,15 +125,13 @@ def _compiled(node: ast.expr) -> _Evaluation:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A rigid pose at a time from 0 to 1, as the way there from where the scene's file has the shape.
-
-    After a rotation, it is translated. Degrees are those around the track's axis, any number, so that wheels
-    turn more than once; a unit quaternion (w, x, y, z) stands for a rotation around any axis instead.
-    """
+    """A rigid pose at a time from 0 to 1, as the way there from where the file has the shape."""
 
     time: float
     translate: _Point = (0.0, 0.0, 0.0)
+    # Around the track's axis, any number, so that wheels turn more than once; translated after that.
     degrees: float = 0.0
+    # Unit quaternion (w, x, y, z) in place of degrees.
     rotation: tuple[float, float, float, float] | None = None
 
 
@@ -212,16 +210,12 @@ class LightTrack:
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """What moves in a scene while the time goes from 0 to 1, in so many seconds.
-
-    Shapes, and lights without a shape that have a place, have tracks by their id; so have lights, and shapes
-    that shine, of radiance. The fingerprint is a hash of the file and of all meshes that it names.
-    """
+    """What moves in a scene while the time goes from 0 to 1, in so many seconds."""
 
     seconds: float
-    shapes: dict[str, ShapeTrack]
-    lights: dict[str, LightTrack]
-    fingerprint: str
+    shapes: dict[str, ShapeTrack]  # by the id of a shape, or of a light without a shape that has a place
+    lights: dict[str, LightTrack]  # of radiance, by the id of a light, or of a shape that shines
+    fingerprint: str  # hash of the file and of all meshes that it names
 
 
 def between(time: float, times: Sequence[float], values: Sequence[Sequence[float]]) -> Array:

@@ -40,15 +40,11 @@ _Values = TypeVar("_Values")
 
 @dataclass(frozen=True)
 class FilmPositions:
-    """N positions on the film, each a box over which samples are averaged.
+    """N positions on the film, each a box over which samples are averaged."""
 
-    x and y are (N,) Dr.Jit floats, the upper left corner of each box; a pixel's corner is its column and row.
-    Sizes are in pixels, one for all or (N,) Dr.Jit floats.
-    """
-
-    x: mi.Float
-    y: mi.Float
-    width: mi.Float | float = 1.0
+    x: mi.Float  # (N,) left of each; a pixel's is its column
+    y: mi.Float  # (N,) top of each; a pixel's is its row
+    width: mi.Float | float = 1.0  # in pixels, one for all or (N,)
     height: mi.Float | float = 1.0
 
     @property
@@ -243,17 +239,13 @@ class Lanes:
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples that are traced at once, of N film positions in a camera's view.
-
-    There are `spp` of each position, one number for all or N, after `offset` others, mi.UInt32 of width 1 or
-    N; `pattern` is the seed of the sample positions.
-    """
+    """Samples that are traced at once, of N film positions in a camera's view."""
 
     camera: Camera
     positions: FilmPositions
-    spp: int | Counts
-    offset: mi.UInt32
-    pattern: int
+    spp: int | Counts  # samples of each position, one number for all or N
+    offset: mi.UInt32  # samples before these, of width 1 or N
+    pattern: int  # seed of the sample positions
 
     @staticmethod
     def of(

@@ -40,11 +40,9 @@ _ROW = 16
 
 @dataclass(frozen=True)
 class DepthShares:
-    """Radiance by the number of segments of paths, over all views.
+    """Radiance by the number of segments of paths, over all views."""
 
-    It is (P, D) mean luminance of each of P independent parts, of paths of 1 to D and more segments.
-    """
-
+    # (P, D) mean luminance of P independent parts; paths of 1 to D and more segments.
     radiance: NDArray[np.float64]
 
     @property
@@ -79,13 +77,10 @@ class DepthShares:
 
 @dataclass(frozen=True)
 class PathCosts:
-    """What paths cost: their mean number of segments, without rays to lights, and their variance.
+    """What paths cost."""
 
-    That is of luminance within a view, mean over views, without the brightest paths.
-    """
-
-    segments: float
-    variance: float
+    segments: float  # mean number, without rays to lights
+    variance: float  # of luminance within a view, mean over views, without the brightest paths
 
 
 def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: int) -> DepthShares:

@@ -99,7 +99,7 @@ class Tracer:
     of the same kind stand in for it. Where there are participating media, it is `volpath`, always unbiased.
 
     Args:
-        scene: the scene.
+        scene: what is traced.
         roulette_depth: depth from which Russian roulette may end a path; that of the scene by default.
         cache: irradiance, in which paths end (pathtrace.trace.cached_paths): less noise in less time, but
             biased.
