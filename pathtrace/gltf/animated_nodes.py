@@ -14,8 +14,6 @@ from pathtrace.gltf.document import Document, read_array
 
 _COLUMNS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 _PATHS = ("translation", "rotation", "scale")
-# Of the whole time, between what is before a step and what is after it.
-_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -80,22 +78,6 @@ class Animation:
     def seconds(self) -> float:
         """When its last keyframe is, from 0 on; 0 if nothing moves."""
         return max([0.0, *(float(sampler.times[-1]) for sampler in self.channels.values())])
-
-    def even_times(self, fps: float) -> Array:
-        """(T,) equal steps of time in seconds, from 0 to the end, at least so many a second."""
-        return np.linspace(0, self.seconds, max(int(np.ceil(self.seconds * fps - 1e-6)), 1) + 1)
-
-    def all_times(self, fps: float) -> Array:
-        """(T,) these, all keyframes, and moments before steps, in seconds, ascending."""
-        found = [self.even_times(fps)]
-        for sampler in self.channels.values():
-            found.append(sampler.times)
-            if sampler.interpolation == "STEP":
-                found.append(sampler.times[1:] - _STEP * self.seconds)
-        times = np.unique(np.concatenate(found))
-        times = times[times >= 0]
-        # Those that are closer are the same but for rounding, and keyframes must ascend.
-        return times[np.diff(times, prepend=-np.inf) > 0.1 * _STEP * self.seconds]
 
 
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:

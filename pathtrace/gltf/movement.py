@@ -30,6 +30,8 @@ _MOST_VERTICES = 100_000_000
 _MOST_POSES = 5_000_000
 # Squares of what is farther from the origin overflow float32.
 _LARGEST = 1e18
+# Of the whole time, between what is before a step and what is after it.
+_STEP = 1e-6
 # Determinant of what has no volume.
 _FLAT = 1e-12
 
@@ -117,7 +119,17 @@ class Times:
             raise UserError(
                 f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long"
             )
-        self.dense, self.even = nodes.animation.all_times(fps), nodes.animation.even_times(fps)
+        # At least so many a second.
+        self.even = np.linspace(0, seconds, max(int(np.ceil(seconds * fps - 1e-6)), 1) + 1)
+        found = [self.even]
+        for sampler in nodes.animation.channels.values():
+            found.append(sampler.times)
+            if sampler.interpolation == "STEP":
+                found.append(sampler.times[1:] - _STEP * seconds)
+        times = np.unique(np.concatenate(found))
+        times = times[times >= 0]
+        # Those that are closer are the same but for rounding, and keyframes must ascend.
+        self.dense = times[np.diff(times, prepend=-np.inf) > 0.1 * _STEP * seconds]
         self.shares = self.dense / max(float(self.dense[-1]), 1e-30)
 
 

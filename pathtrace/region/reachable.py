@@ -61,7 +61,7 @@ _PATCH = 0.12
 
 
 class Measures:
-    """Sizes of the space around a scene's own camera, in the scene's unit; UserError if it sees no surface."""
+    """Sizes of the space around a scene's camera, in the scene's unit; UserError if it sees no surface."""
 
     def __init__(self, scene: Scene, surfaces: Surfaces):
         home, small = scene.camera, scene.camera.resized(12, 12)
