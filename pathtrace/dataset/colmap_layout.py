@@ -50,7 +50,10 @@ def model_of(folder: Path) -> Path | None:
 
 
 def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
-    """The images of a data set in the order of their names, and points (M, 3); UserError if it is damaged."""
+    """The images of a data set in the order of their names, and points (M, 3) that they show.
+
+    UserError if images are missing, a file is damaged, or a camera is not a perspective one.
+    """
     found = read_model(model)
     root = folder / _IMAGES if (folder / _IMAGES).is_dir() else folder
     shots = sorted(found.images, key=lambda image: image.name)

@@ -92,7 +92,10 @@ class FrameSet:
 
 
 def read_frame_set(folder: Path) -> FrameSet:
-    """Reads a frame set's transforms.json; UserError if it is none, of another version, or not complete."""
+    """Reads a frame set's transforms.json and checks that every file it names exists.
+
+    UserError if the folder is no frame set, has another format version, or its capture is not complete.
+    """
     path = folder / "transforms.json"
     if not path.is_file():
         raise UserError(f"{folder}: not a frame set (no transforms.json); make one with: hybrid capture")

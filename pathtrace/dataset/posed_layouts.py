@@ -85,7 +85,10 @@ def _nerfstudio(folder: Path) -> dict[str, Any] | None:
 
 
 def read_posed_folder(folder: Path) -> PosedFolder:
-    """Reads a folder of posed images, but not their pixels; UserError if damaged or of no known layout."""
+    """Reads a folder of posed images, but not their pixels.
+
+    UserError if the layout is unknown, there is no training image, or a file is missing or damaged.
+    """
     points = bounds = None
     if (folder / TRAINING).is_file():
         layout, images = SYNTHETIC, read_synthetic(folder)

@@ -33,7 +33,10 @@ _process = 0
 
 
 def select_backend(choice: str = "auto") -> Backend:
-    """Sets the Mitsuba variant, once per process: "cuda", "llvm" or "auto"; UserError if it is not there."""
+    """Sets the Mitsuba variant, once per process: "cuda", "llvm", or "auto" for CUDA if it is available.
+
+    UserError if the choice is unknown or not available, or another backend is already in use.
+    """
     global _selected, _process
     _require_own_process()
     if choice not in ("auto", "cuda", "llvm"):

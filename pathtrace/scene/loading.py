@@ -168,22 +168,17 @@ def _relocate_emitter(properties: mi.Properties, place: Place) -> None:
     if plugin not in _POINTS:
         raise ImmovableError(f"a {plugin}")
     if place.unit != 1:
-        _scale_intensity(properties, place.unit**-2)
+        intensity: Any = properties.get("intensity", 1.0)
+        kinds = mi.Properties.Type
+        kind = properties.type("intensity") if "intensity" in properties else kinds.Float
+        if kind not in (kinds.Float, kinds.Color):
+            raise ImmovableError(f"a {plugin} light with a spectrum or a texture")
+        scaled = [float(channel) * place.unit**-2 for channel in np.ravel(intensity)]
+        properties["intensity"] = scaled[0] if kind == kinds.Float else mi.ScalarColor3d(*scaled)
     if "position" in properties:
         properties["position"] = place.from_world(np.array(properties["position"])).tolist()
     else:
         _relocate_to_world(properties, place)
-
-
-def _scale_intensity(properties: mi.Properties, factor: float) -> None:
-    intensity: Any = properties.get("intensity", 1.0)
-    kind = properties.type("intensity") if "intensity" in properties else mi.Properties.Type.Float
-    if kind == mi.Properties.Type.Float:
-        properties["intensity"] = float(intensity) * factor
-    elif kind == mi.Properties.Type.Color:
-        properties["intensity"] = mi.ScalarColor3d(*(float(channel) * factor for channel in intensity))
-    else:
-        raise ImmovableError(f"a {properties.plugin_name()} light with a spectrum or a texture")
 
 
 def _relocate_to_world(properties: mi.Properties, place: Place) -> None:
