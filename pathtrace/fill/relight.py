@@ -156,32 +156,26 @@ class Resampling:
             for size, count in zip(self._sizes, self._counts, strict=True)
         )
         self._next = (self._next + 1) % self._parts
-        sampled = self._light(self._scene, *self._from(points), *self._points)
-        shown: tuple[Any, ...] = ()
+        sampled = self._light(self._scene, *self._from(points), self._points)
+        shown: tuple[mi.Float, ...] = ()
         if self._sizes[1]:
-            shown = self._show(self._scene, *self._from(rays), *self._points, *self._rays)
+            shown = self._show(self._scene, *self._from(rays), self._points, self._rays)
         return Part(points, rays, sampled, shown, self._numbers)
 
     def _from(self, part: slice) -> tuple[mi.UInt32, ...]:
         return tuple(dr.opaque(mi.UInt32, n) for n in (int(self._random.integers(1 << 32)), part.start))
 
     def _of_points(
-        self, scene: AnyScene, state: mi.UInt32, first: mi.UInt32, position: mi.Point3f, normal: mi.Normal3f
-    ) -> tuple[Any, ...]:
+        self, scene: AnyScene, state: mi.UInt32, first: mi.UInt32, places: tuple[mi.Point3f, mi.Normal3f]
+    ) -> tuple[mi.Float, ...]:
         """Direct light at points, its samples and their lights; frozen."""
-        return sampled_lights(scene, state, (position, normal), self._sizes[0], first, self._counts[0])
+        return sampled_lights(scene, state, places, self._sizes[0], first, self._counts[0])
 
     def _of_rays(
-        self,
-        scene: AnyScene,
-        state: mi.UInt32,
-        first: mi.UInt32,
-        position: mi.Point3f,
-        normal: mi.Normal3f,
-        *rays: dr.ArrayBase,
-    ) -> tuple[Any, ...]:
+        self, scene: AnyScene, state: mi.UInt32, first: mi.UInt32, *given: tuple[Any, ...]
+    ) -> tuple[mi.Float, ...]:
         """Light of lights that rays find; frozen."""
-        point, square, weight = rays
+        (position, normal), (point, square, weight) = given
         ray = first + dr.arange(mi.UInt32, self._sizes[1])
         sampler = random_numbers(state, self._sizes[1])
         active = ray < self._counts[1]
