@@ -8,12 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float32]
+Indices: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
 
 # Sides of the cells of each level, in units of the cells' scale.
 SIDES = (0.02, 0.08, 0.4)
@@ -34,8 +38,8 @@ _PROBES, _ROOM = 4, 3
 class Points:
     """N points on surfaces: positions (N, 3) in the world, and unit normals (N, 3) of the lit side."""
 
-    position: NDArray[np.float32]
-    normal: NDArray[np.float32]
+    position: Floats
+    normal: Floats
 
     @staticmethod
     def none() -> Points:
@@ -66,7 +70,7 @@ def joined_points(parts: Sequence[Points]) -> Points:
 class Grid:
     """Where cells lie: an origin (3,) in the world, and a typical distance there, the unit of their sides."""
 
-    origin: NDArray[np.float32]
+    origin: Floats
     scale: float
 
     def keys(self, points: Points, level: int) -> NDArray[np.uint64]:
@@ -87,7 +91,7 @@ class Grid:
 _Integers = TypeVar("_Integers")
 
 # Whether nothing lies between points, given by their indices (M,) each, and the side of their cell.
-Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool_]]
+Joined = Callable[[Indices, Indices, float], Mask]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +100,7 @@ class Cells:
 
     grid: Grid
     keys: tuple[NDArray[np.uint64], ...]  # (C_l,) names of the cells of each level, sorted
-    counts: tuple[NDArray[np.int64], ...]  # (C_l,) numbers of points in them
+    counts: tuple[Indices, ...]  # (C_l,) numbers of points in them
 
     @staticmethod
     def of(points: Points, grid: Grid, joined: Joined) -> Cells:
@@ -114,11 +118,11 @@ class Cells:
         return Cells(grid, tuple(keys), tuple(counts))
 
     @cached_property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """(C,) whether enough points lie in each cell to show its mean."""
         return np.concatenate([n >= fewest for n, fewest in zip(self.counts, _FEWEST, strict=True)])
 
-    def smallest(self, points: Points) -> NDArray[np.int64]:
+    def smallest(self, points: Points) -> Indices:
         """(N,) index of the smallest cell that each point lies in, whether enough is known of it or not.
 
         Larger cells reach past edges behind which it may be much brighter.
@@ -138,7 +142,7 @@ class Cells:
     def __len__(self) -> int:
         return sum(len(keys) for keys in self.keys)
 
-    def indices(self, points: Points) -> NDArray[np.int64]:
+    def indices(self, points: Points) -> Indices:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
         start, found = 0, []
         for level, keys in enumerate(self.keys):
@@ -150,9 +154,7 @@ class Cells:
         return np.stack(found)
 
 
-def _names(
-    position: NDArray[np.float32], normal: NDArray[np.float32], level: int
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+def _names(position: Floats, normal: Floats, level: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Two names (N,) of the cells of a level; positions are in units of the scale, from the origin."""
     x, y, z = np.floor(position / np.float32(SIDES[level])).astype(np.int64).astype(np.uint32).T
     axis = np.abs(normal).argmax(axis=1)

@@ -15,10 +15,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import SIDES, Cells, Floats, Grid, Points, Table, cell_names_jit, find
 from pathtrace.cache.light_selection import LightChoice, LightSamples
 from pathtrace.cache.transport import Transfer
 
@@ -32,7 +31,7 @@ class IrradianceCache:
 
     cells: Cells
     # (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
-    irradiance: NDArray[np.float32]
+    irradiance: Floats
     lights: LightChoice  # chances with which paths choose lights
     transfer: Transfer  # what it takes to follow lights that change
     # Share of the work that was done to follow their last change; below 1, some light is an estimate.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import Floats, Grid, Indices, Points, Table, cell_names_jit, find
 from pathtrace.scene.instances import AnyScene
 
 # Surfaces that a shadow ray passes at most.
@@ -49,11 +49,11 @@ def transmittance(
 class LightSamples:
     """M samples, each light as likely: indices of points and lights, irradiance in any unit, (M,) each."""
 
-    point: NDArray[np.int64]
-    light: NDArray[np.int64]
-    irradiance: NDArray[np.float32]
+    point: Indices
+    light: Indices
+    irradiance: Floats
 
-    def sums(self, places: NDArray[np.int64], count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    def sums(self, places: Indices, count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
         """Sums of squares by light (R, E), and sample numbers (R,), at R places, by those (M,) of samples."""
         weights = self.irradiance.astype(float) ** 2
         squares = np.bincount(places * lights + self.light, weights=weights, minlength=count * lights)
@@ -66,7 +66,7 @@ class LightChoice:
 
     grid: Grid
     keys: NDArray[np.uint64]
-    chances: NDArray[np.float32]
+    chances: Floats
 
     @staticmethod
     def of(samples: LightSamples, points: Points, grid: Grid, lights: int) -> LightChoice:
@@ -78,7 +78,7 @@ class LightChoice:
         chances = _chances(np.vstack([squares[kept], squares.sum(axis=0)]))
         return LightChoice(grid, key[kept], chances.astype(np.float32))
 
-    def rows(self, points: Points) -> NDArray[np.int64]:
+    def rows(self, points: Points) -> Indices:
         """(N,) row of the chances at each point."""
         key = self.grid.keys(points, _LEVEL)
         row = np.searchsorted(self.keys, key)
@@ -107,7 +107,7 @@ class LightLearning:
         self._squares: NDArray[np.float64] = np.zeros_like(before.chances, dtype=float)
         self._numbers = np.zeros(len(before.chances), dtype=np.int64)
 
-    def add(self, samples: LightSamples, rows: NDArray[np.int64]) -> None:
+    def add(self, samples: LightSamples, rows: Indices) -> None:
         """Adds samples, given the row of the chances at each of the points that they belong to."""
         count, lights = self._squares.shape
         squares, numbers = samples.sums(rows[samples.point], count, lights)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from pathtrace.cache.cells import Points
+from pathtrace.cache.cells import Floats, Indices, Mask, Points
 
 # Numbers of segments whose light is told apart; more count as any number.
 _MOST_STEPS = 8
@@ -33,7 +33,7 @@ class Patches:
     count: int
 
     @staticmethod
-    def of(cells: NDArray[np.int64], count: int) -> tuple[Patches, NDArray[np.int32]]:
+    def of(cells: Indices, count: int) -> tuple[Patches, NDArray[np.int32]]:
         """The patches of points in cells (levels, N), -1 for none, and the (N,) index of each one's patch."""
         # Single numbers are sorted several times faster than columns.
         sizes = (count + 1,) * len(cells)
@@ -45,7 +45,7 @@ class Patches:
         return self.cells.shape[1]
 
     @cached_property
-    def regions(self) -> NDArray[np.int64]:
+    def regions(self) -> Indices:
         """(P,) number from 0 on that is the same for the patches of one largest cell."""
         _, region = np.unique(self.cells.max(axis=0, initial=-1), return_inverse=True)
         return region.astype(np.int64)
@@ -72,11 +72,11 @@ def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np
 class Links:
     """M rays from points, with the weight that each has in a mean."""
 
-    point: NDArray[np.int64]  # (M,) index of the point
-    cell: NDArray[np.int64]  # (M,) index of the cell that it hit, -1 outside the scene
-    bounces: NDArray[np.int64]  # (M,) mirrors and glass on the way
+    point: Indices  # (M,) index of the point
+    cell: Indices  # (M,) index of the cell that it hit, -1 outside the scene
+    bounces: Indices  # (M,) mirrors and glass on the way
     # (M, 3) share of the irradiance of what was hit that arrives; 0 where a ray left the scene.
-    reflectance: NDArray[np.float32]
+    reflectance: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class Transport:
     # surface on the way, then those of rays that met one, and so on.
     starts: NDArray[np.int32]
     cells: NDArray[np.int32]  # (L,) cell that each link leads to
-    reflectance: NDArray[np.float32]  # (3, L) sum over the rays of each link, one row per colour channel
+    reflectance: Floats  # (3, L) sum over the rays of each link, one row per colour channel
 
     @staticmethod
     def of(links: Links, patches: Patches, patch: NDArray[np.int32]) -> Transport:
@@ -128,23 +128,23 @@ class Transport:
     def _averaging(self) -> sparse.csr_array:
         return self.patches.averaging(self.rays)
 
-    def received(self, known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def received(self, known: Sequence[Floats]) -> Floats:
         """(C, 3) irradiance by way of other cells, whose own is known, of at most 1, 2, ... segments."""
         sums = np.zeros((len(self.patches), 3), dtype=np.float32)
         for channels, light in zip(self._matrices, reversed(known), strict=False):
             for channel, matrix in enumerate(channels):
                 sums[:, channel] += matrix @ np.ascontiguousarray(light[:, channel])
-        received: NDArray[np.float32] = self._averaging @ sums
+        received: Floats = self._averaging @ sums
         return received
 
-    def every(self, sent: NDArray[np.float32], most: int) -> list[NDArray[np.float32]]:
+    def every(self, sent: Floats, most: int) -> list[Floats]:
         """Irradiance (C, 3) of at most 1, 2, ... segments from a light; `sent` and `most` as below."""
         known = [sent[0]]
         for segments in range(1, most if most > 0 else _UNBOUNDED):
             known.append(sent[min(segments, len(sent) - 1)] + self.received(known))
         return known
 
-    def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
+    def irradiance(self, sent: Floats, most: int) -> Floats:
         """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
         What is sent (S, C, 3) comes from lights without other cells between; [n] is that of at most n + 1
@@ -153,7 +153,7 @@ class Transport:
         return told_apart(self.every(sent, most))
 
 
-def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def told_apart(known: Sequence[Floats]) -> Floats:
     """(K, C, 3) as in `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
     return np.stack([*known[: _MOST_STEPS - 1], known[-1]] if len(known) > _MOST_STEPS else known)
 
@@ -163,8 +163,8 @@ class Rays:
     """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass."""
 
     point: NDArray[np.int32]  # (M,) index of the point
-    square: NDArray[np.float32]  # (M, 2) direction in 0..1, cosine-weighted around the normal
-    weight: NDArray[np.float32]  # (M,) irradiance that arrives in this way for each unit of radiance
+    square: Floats  # (M, 2) direction in 0..1, cosine-weighted around the normal
+    weight: Floats  # (M,) irradiance that arrives in this way for each unit of radiance
 
     def __len__(self) -> int:
         return len(self.point)
@@ -177,14 +177,14 @@ class Transfer:
     points: Points  # N, in random order
     patch: NDArray[np.int32]  # (N,) int32 patch of each
     rays: Rays  # from these points, in random order
-    direct: NDArray[np.float32]  # (P, 3) sums over each patch's points of the irradiance from lights
+    direct: Floats  # (P, 3) sums over each patch's points of the irradiance from lights
     # (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy surfaces
     # and glass.
-    reflected: NDArray[np.float32]
+    reflected: Floats
     # (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
-    passed: NDArray[np.float32]
+    passed: Floats
     transport: Transport  # of light between all C cells
-    known: NDArray[np.bool_]  # (C,) mask of the cells that the cache answers from
+    known: Mask  # (C,) mask of the cells that the cache answers from
 
     @staticmethod
     def none() -> Transfer:
@@ -236,12 +236,12 @@ class Transfer:
             raise ValueError("the parts of a transfer do not match")
 
     @cached_property
-    def numbers(self) -> NDArray[np.int64]:
+    def numbers(self) -> Indices:
         """(P,) number of points in each patch."""
         return np.bincount(self.patch, minlength=len(self.transport.patches))
 
     @cached_property
-    def ray_regions(self) -> NDArray[np.int64]:
+    def ray_regions(self) -> Indices:
         """(M,) region that each ray starts in."""
         return self.transport.patches.regions[self.patch[self.rays.point]]
 
@@ -249,7 +249,7 @@ class Transfer:
     def _averaging(self) -> sparse.csr_array:
         return self.transport.patches.averaging(self.numbers)
 
-    def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> NDArray[np.float32]:
+    def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> Floats:
         """(B + 1, C, 3) irradiance of cells from lights, from sums like `direct` and `reflected`.
 
         The first is direct, the next ones met at most 1, 2, ... surfaces on the way. Lights in mirrors and
@@ -262,6 +262,6 @@ class Transfer:
         rows = [direct, *(direct + passed[regions, None] * shown for passed in self.passed)]
         return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
 
-    def irradiance(self, most: int) -> NDArray[np.float32]:
+    def irradiance(self, most: int) -> Floats:
         """(K, C, 3) irradiance of cells, as in `IrradianceCache`; `most` as in `Transport.irradiance`."""
         return self.transport.irradiance(self.of_cells(self.direct, self.reflected), most)

@@ -29,25 +29,16 @@ FORMAT_VERSION = 3
 
 @dataclass(frozen=True)
 class FrameEntry:
-    """A frame of a frame set.
+    """A frame of a frame set."""
 
-    Attributes:
-        camera: the view.
-        file: its EXR file, a captured frame.
-        samples: samples per pixel.
-        held_out: whether training must not see it.
-        estimates: files of noisy estimates of the view by their samples per pixel.
-        halves: files of the radiance of two independent halves of the samples, if there are estimates.
-        time: that it shows, from 0 to 1.
-    """
-
-    camera: Camera
-    file: Path
-    samples: int
-    held_out: bool
-    estimates: dict[int, Path]
+    camera: Camera  # the view
+    file: Path  # its EXR file, a captured frame
+    samples: int  # samples per pixel
+    held_out: bool  # whether training must not see it
+    estimates: dict[int, Path]  # files of noisy estimates of the view by their samples per pixel
+    # Files of the radiance of two independent halves of the samples, if there are estimates.
     halves: tuple[Path, ...] = ()
-    time: float = 0.0
+    time: float = 0.0  # that it shows, from 0 to 1
 
     @property
     def size(self) -> tuple[int, int]:

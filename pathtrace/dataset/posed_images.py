@@ -124,8 +124,8 @@ class PosedImage:
 class PosedFolder:
     """A folder of posed images."""
 
-    folder: Path  # the folder, and the name of its layout
-    layout: str
+    folder: Path
+    layout: str  # its name
     scene_name: str  # the folder's name, as far as it can be that of a scene
     scene_hash: str  # SHA-256 of the images and of all that is known of them
     images: list[PosedImage]  # training and held-out ones, in the order of the folder

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points, joined_points
+from pathtrace.cache.cells import SIDES, Cells, Floats, Grid, Indices, Mask, Points, joined_points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightChoice
 from pathtrace.cache.transport import Links, Patches, Rays, Transfer, Transport, sums_by
@@ -42,7 +42,7 @@ class Guide:
     found.
     """
 
-    def __init__(self, region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]):
+    def __init__(self, region: Indices, square: Floats, brought: Floats):
         regions = int(region.max(initial=-1)) + 1
         sums = np.bincount(region * _BINS + _bins(square), brought, regions * _BINS)
         self._light = sums.reshape(regions, _BINS).astype(float)
@@ -53,7 +53,7 @@ class Guide:
         share = np.divide(light, total, out=np.full_like(light, 1 / _BINS), where=total > 0)
         return _EVEN + (1 - _EVEN) * _BINS * share
 
-    def squares(self, region: NDArray[np.int64], random: np.random.Generator) -> NDArray[np.float32]:
+    def squares(self, region: Indices, random: np.random.Generator) -> Floats:
         """Where the directions (M, 2) of guided rays lie, which start in regions (M,)."""
         density = self._density(self._light, np.broadcast_to(self._total[:, None], self._light.shape))
         running = np.cumsum(density, axis=1)
@@ -67,35 +67,30 @@ class Guide:
         # Rounding must not reach the next bin.
         return np.minimum(square, np.nextafter(((corner + 1) / _SIDE).astype(np.float32), np.float32(0)))
 
-    def weights(
-        self,
-        region: NDArray[np.int64],
-        square: NDArray[np.float32],
-        brought: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+    def weights(self, region: Indices, square: Floats, brought: Floats | None = None) -> Floats:
         """(M,) weights of rays in a mean over even and guided ones; of even ones with what they `brought`."""
         own = np.zeros(len(region)) if brought is None else brought.astype(np.float64)
         light, total = self._light[region, _bins(square)] - own, self._total[region] - own
         # What rounding leaves of a sum of one ray is no light.
         rest = total > 1e-9 * self._total[region]
         density = self._density(np.where(rest, np.maximum(light, 0), 0), np.where(rest, total, 0))
-        weights: NDArray[np.float32] = (2 / (1 + density)).astype(np.float32)
+        weights: Floats = (2 / (1 + density)).astype(np.float32)
         return weights
 
 
-def even_squares(count: int, each: int, random: np.random.Generator) -> NDArray[np.float32]:
+def even_squares(count: int, each: int, random: np.random.Generator) -> Floats:
     """(M, 2) even directions of `count` points in `each` strata, one ray of each point in every stratum."""
     square = random.random((count * each, 2), dtype=np.float32)
     square[:, 0] = (square[:, 0] + np.tile(np.arange(each, dtype=np.float32), count)) / each
     return np.minimum(square, np.nextafter(np.float32(1), np.float32(0)))
 
 
-def _bins(square: NDArray[np.float32]) -> NDArray[np.int64]:
+def _bins(square: Floats) -> Indices:
     row, column = np.minimum((square * _SIDE).astype(np.int64), _SIDE - 1).T
     return row * _SIDE + column
 
 
-def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
+def cells_hit(seen: Seen, points: Points, cells: Cells) -> Indices:
     """(M,) cell that each ray hit; -1 where it left the scene, or if there is no cell.
 
     Where a ray hit no known cell, that of the nearest point that faces the same way stands for it: these rays
@@ -117,7 +112,7 @@ def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
     return hit
 
 
-def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -> Links:
+def links_of(seen: Seen, cell: Indices, weight: Floats) -> Links:
     """The links of rays, by the cells (M,) that they hit and their weights (M,) in the means of points."""
     # Without any cell, nothing can be said of the rays that hit something.
     kept = np.flatnonzero(~seen.valid | (cell >= 0))
@@ -128,12 +123,12 @@ def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -
 class GuidedPlaces:
     """N points, the cells and regions (N,) that they lie in, and irradiance (N, 3) from lights there."""
 
-    def __init__(self, points: Points, cells: Cells, direct: NDArray[np.float32]):
+    def __init__(self, points: Points, cells: Cells, direct: Floats):
         self.points, self.cells, self.direct = points, cells, direct
         self._patches, self._patch = Patches.of(cells.indices(points), len(cells))
         self.regions = self._patches.regions[self._patch]
 
-    def transfer(self, seen: Seen, hit: NDArray[np.int64], weight: NDArray[np.float32]) -> Transfer:
+    def transfer(self, seen: Seen, hit: Indices, weight: Floats) -> Transfer:
         """What rays from the points found, summed over patches, given the cells that they hit."""
         transport = Transport.of(links_of(seen, hit, weight), self._patches, self._patch)
         direct = sums_by(self._patch, self.direct, len(self._patches))
@@ -150,9 +145,7 @@ class GuidedPlaces:
         return Transfer(self.points, self._patch, rays, *light, passed, transport, self.cells.known)
 
 
-def _passed(
-    region: NDArray[np.int64], passed: NDArray[np.int64], light: NDArray[np.float32], count: int
-) -> NDArray[np.float32]:
+def _passed(region: Indices, passed: Indices, light: Floats, count: int) -> Floats:
     """(B, count) share of the light (M,) of each region's rays that met at most 1, 2, ... surfaces."""
     most = int(passed.max(initial=1))
     sums = np.bincount((passed - 1) * count + region, light, most * count).reshape(most, count).cumsum(axis=0)
@@ -286,9 +279,7 @@ def _path_ends(scene: AnyScene, camera: Camera, count: int, seed: int) -> Points
     return joined_points([Points(p.numpy().T, n.numpy().T).take(valid.numpy()) for p, n, valid in found])
 
 
-def _joined(
-    scene: mi.Scene, points: Points, one: NDArray[np.int64], other: NDArray[np.int64], side: float
-) -> NDArray[np.bool_]:
+def _joined(scene: mi.Scene, points: Points, one: Indices, other: Indices, side: float) -> Mask:
     """Whether nothing lies between points, seen from a little above their surfaces."""
     if not len(one):
         return np.ones(0, dtype=bool)
@@ -296,5 +287,5 @@ def _joined(
     start, way = raised[one], raised[other] - raised[one]
     # By its stub, no length may be a number.
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(way.T), 1.0, 0.0, [])  # type: ignore[call-overload]
-    blocked: NDArray[np.bool_] = scene.ray_test(ray, dr.squared_norm(ray.d) > 0).numpy()
+    blocked: Mask = scene.ray_test(ray, dr.squared_norm(ray.d) > 0).numpy()
     return ~blocked

@@ -13,10 +13,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 
-from pathtrace.cache.cells import Points, joined_points
+from pathtrace.cache.cells import Floats, Indices, Mask, Points, joined_points
 from pathtrace.cache.irradiance_cache import (
     IrradianceCache,
     irradiance_share,
@@ -179,19 +178,19 @@ def followed(
 class Seen:
     """What M rays from points found."""
 
-    point: NDArray[np.int64]  # (M,) index of the point that each started at
+    point: Indices  # (M,) index of the point that each started at
     # (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-    square: NDArray[np.float32]
+    square: Floats
     # (M, 3) of lights in mirrors, glossy surfaces and glass, but for one hit first.
-    radiance: NDArray[np.float32]
+    radiance: Floats
     # (M,) number of such surfaces on the way to them, at least 1; of several ways one by chance.
-    passed: NDArray[np.int64]
+    passed: Indices
     hits: Points  # the M points that they hit last
-    valid: NDArray[np.bool_]  # (M,) whether a ray hit a surface that reflects irradiance
-    shiny: NDArray[np.bool_]  # (M,) whether the surface that it hit first may show lights
-    bounces: NDArray[np.int64]  # (M,) mirrors, glossy and glass surfaces on the way
+    valid: Mask  # (M,) whether a ray hit a surface that reflects irradiance
+    shiny: Mask  # (M,) whether the surface that it hit first may show lights
+    bounces: Indices  # (M,) mirrors, glossy and glass surfaces on the way
     # (M, 3) share of the irradiance of what was hit that arrives at the point; 0 if not valid.
-    reflectance: NDArray[np.float32]
+    reflectance: Floats
 
     @staticmethod
     def joined(parts: Sequence[Seen]) -> Seen:
@@ -204,7 +203,7 @@ class Seen:
         return Seen(**values, hits=joined_points([part.hits for part in parts]))
 
 
-def gather_direct(scene: AnyScene, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
+def gather_direct(scene: AnyScene, points: Points, seed: int) -> tuple[Floats, LightSamples]:
     """Irradiance (N, 3) at points from lights, and SAMPLES samples of these at each; same seed, same ones."""
     state = dr.opaque(mi.UInt32, seed)
     *means, sampled, registered = sampled_lights(scene, state, points.arrays, len(points))
@@ -236,9 +235,7 @@ def sampled_lights(
     return *means, *samples[3:]
 
 
-def gather_seen(
-    scene: AnyScene, points: Points, point: NDArray[np.int64], square: NDArray[np.float32], seed: int
-) -> Seen:
+def gather_seen(scene: AnyScene, points: Points, point: Indices, square: Floats, seed: int) -> Seen:
     """Follows M rays from points; `point` and `square` are those of `Seen`. Same seed, same ways."""
     sampler = random_numbers(dr.opaque(mi.UInt32, seed), len(point))
     at = surfaces_at(points.arrays, mi.UInt32(point.astype(np.uint32)))
@@ -256,11 +253,11 @@ def irradiance_over_time(
     scene: Scene,
     cache: IrradianceCache,
     points: Callable[[float], Points],
-    moving: NDArray[np.int64],
+    moving: Indices,
     times: Sequence[float],
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> NDArray[np.float32]:
+) -> Floats:
     """(T, 3, N) irradiance of N points, of which (M,) move, at T times from 0 to 1, ascending.
 
     Light that comes over other surfaces has the cache's irradiance, of time 0, there; on what stands still,
@@ -288,7 +285,7 @@ def irradiance_over_time(
     return np.maximum(found, 0, out=found)
 
 
-def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -> NDArray[np.float32]:
+def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -> Floats:
     """(3, N) irradiance that arrives over other surfaces, whose own irradiance is that of the cache."""
     rng = np.random.default_rng(seed)
     start = np.repeat(np.arange(len(points)), _RAYS)

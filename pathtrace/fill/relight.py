@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from pathtrace.cache.cells import Floats, Indices
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightLearning, LightSamples, light_numbers
 from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
@@ -43,7 +44,7 @@ class Renewal:
     Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,).
     """
 
-    def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
+    def __init__(self, sums: NDArray[Any], numbers: Indices, regions: Indices):
         self._numbers, self._regions = numbers, regions
         places = np.arange(len(numbers))
         shape = int(regions.max(initial=-1)) + 1, len(numbers)
@@ -56,7 +57,7 @@ class Renewal:
         self._new = np.zeros_like(self._old)
         self._renewed = np.zeros(len(numbers))
 
-    def add(self, places: NDArray[Any], light: NDArray[np.float32]) -> None:
+    def add(self, places: NDArray[Any], light: Floats) -> None:
         """Adds new samples: their places (M,), and their light (M, 3)."""
         self._new += sums_by(places, light, len(self._numbers))
         self._renewed += np.bincount(places, minlength=len(self._numbers))
@@ -78,7 +79,7 @@ class Renewal:
 class Spreading:
     """Irradiance of cells that follows direct light, which is sent as in `Transport.irradiance`."""
 
-    def __init__(self, transport: Transport, sent: NDArray[np.float32], most: int):
+    def __init__(self, transport: Transport, sent: Floats, most: int):
         self._transport, self._next, self._sent = transport, 1, sent
         self._known = transport.every(sent, most)
         self._share = -(-(len(self._known) - 1) // _STEPS)
@@ -96,12 +97,12 @@ class Spreading:
             self._known[self._next] = self._sent[min(self._next, len(self._sent) - 1)] + received
             self._next += 1
 
-    def light(self, sent: NDArray[np.float32], restart: bool = False) -> None:
+    def light(self, sent: Floats, restart: bool = False) -> None:
         """Sets the light (S, C, 3) that the next steps pass on, from the first segment if restarted."""
         self._sent, self._known[0] = sent, sent[0]
         self._next = 1 if restart else self._next
 
-    def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+    def irradiance(self, cells: Indices) -> Floats:
         """(K, c, 3) of cells given by their indices, as in `IrradianceCache`."""
         return told_apart([np.take(light, cells, axis=0) for light in self._known])
 
@@ -116,11 +117,11 @@ class Part:
     shown: tuple[mi.Float, ...]  # irradiance by the rays
     numbers: NDArray[np.uint32]  # indices of lights, by the numbers by which kernels know them
 
-    def direct(self) -> NDArray[np.float32]:
+    def direct(self) -> Floats:
         """(n, 3) irradiance of the points from lights."""
         return _rows(self.sampled[:3], self.points)
 
-    def reflected(self) -> NDArray[np.float32]:
+    def reflected(self) -> Floats:
         """(m, 3) irradiance from lights that rays found in mirrors, glossy surfaces and glass."""
         return _rows(self.shown, self.rays)
 
@@ -188,7 +189,7 @@ class Resampling:
         return shown
 
 
-def _rows(channels: tuple[Any, ...], part: slice) -> NDArray[np.float32]:
+def _rows(channels: tuple[Any, ...], part: slice) -> Floats:
     """(n, 3) the values of a part; lanes beyond its end are left out."""
     if not channels:
         return np.zeros((0, 3), dtype=np.float32)

@@ -8,14 +8,11 @@ from compose.base.errors import UserError
 
 
 class Integrator(Enum):
-    """How radiance is estimated.
+    """How radiance is estimated."""
 
-    Attributes:
-        PATH: Mitsuba's path tracer; unbiased.
-        CACHED: paths that end in a cache of irradiance; a fraction of the noise in less time, but biased.
-    """
-
+    # Mitsuba's path tracer; unbiased.
     PATH = "path"
+    # Paths that end in a cache of irradiance; a fraction of the noise in less time, but biased.
     CACHED = "cached"
 
     @property

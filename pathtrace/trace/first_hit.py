@@ -31,8 +31,7 @@ class FirstHits:
     """First hits of rays; Dr.Jit arrays, one entry per ray."""
 
     surface: mi.SurfaceInteraction3f  # interaction with the first surface; invalid where nothing is hit
-    # Interaction at the end of the path through mirrors and clear glass; invalid if that leaves the
-    # scene.
+    # That at the end of the path through mirrors and clear glass; invalid if that leaves the scene.
     last: mi.SurfaceInteraction3f
     unfolded: mi.Float  # length of this path; that of its part within the scene if it leaves the scene
     throughput: mi.Color3f  # share of light that mirrors and glass on the path pass on, per colour channel

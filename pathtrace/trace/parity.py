@@ -38,8 +38,8 @@ _UNBOUNDED = (1 << 32) - 1
 class Parity:
     """How the pictures of a scene compare."""
 
-    theirs: float  # mean radiance of Mitsuba's own picture, and of the one here
-    ours: float
+    theirs: float  # mean radiance of Mitsuba's own picture
+    ours: float  # that of the one here
     parts: int  # number of parts that were compared: blocks, and the whole picture
     differing: int  # number of those that differ by more than noise
     causes: tuple[str, ...] = ()  # what may make them differ besides what the scene leaves out, a line each
