@@ -141,15 +141,12 @@ class GuidedPlaces:
         shiny = np.flatnonzero(seen.shiny)
         rays = Rays(seen.point[shiny].astype(np.int32), seen.square[shiny], arriving[shiny])
         light = direct.astype(np.float32), reflected.astype(np.float32)
-        passed = _passed(region, seen.passed, shown.mean(axis=1), count)
+        # Shares of the light of each region's rays that met at most 1, 2, ... surfaces.
+        most = int(seen.passed.max(initial=1))
+        met = np.bincount((seen.passed - 1) * count + region, shown.mean(axis=1), most * count)
+        met = met.reshape(most, count).cumsum(axis=0)
+        passed = np.divide(met, met[-1], out=np.ones_like(met), where=met[-1] > 0).astype(np.float32)
         return Transfer(self.points, self._patch, rays, *light, passed, transport, self.cells.known)
-
-
-def _passed(region: Indices, passed: Indices, light: Floats, count: int) -> Floats:
-    """(B, count) share of the light (M,) of each region's rays that met at most 1, 2, ... surfaces."""
-    most = int(passed.max(initial=1))
-    sums = np.bincount((passed - 1) * count + region, light, most * count).reshape(most, count).cumsum(axis=0)
-    return np.divide(sums, sums[-1], out=np.ones_like(sums), where=sums[-1] > 0).astype(np.float32)
 
 
 def guided_transfer(
@@ -162,9 +159,7 @@ def guided_transfer(
     found = np.where(hit[:, None] >= 0, known[hit] * even.reflectance, 0) + np.pi * even.radiance
     brought, region = found.mean(axis=1), places.regions[even.point]
     guide = Guide(region, even.square, brought)
-    further = gather_seen(
-        scene, points, even.point, guide.squares(region, random), int(random.integers(1 << 32))
-    )
+    further = gather_seen(scene, points, even.point, guide.squares(region, random), _state(random))
     weights = guide.weights(region, even.square, brought), guide.weights(region, further.square)
     hits = hit, cells_hit(further, points, cells)
     return places.transfer(Seen.joined([even, further]), np.concatenate(hits), np.concatenate(weights))
@@ -208,25 +203,25 @@ def fill_cache(
     """
     random = np.random.default_rng(seed)
     total = _GENERATIONS + 2
-    grid = Grid(cameras[0].position.astype(np.float32), _scale(scene, cameras[0]))
+    distance = scene.surfaces().median_distance(cameras[0])
+    scale = distance if np.isfinite(distance) else float(dr.max(scene.mitsuba.bbox().extents()))
+    grid = Grid(cameras[0].position.astype(np.float32), scale)
     if scene.optics.has_media:
         return IrradianceCache.empty(len(scene.mitsuba.emitters()))
     share = -(-points // (2 * len(cameras)))
-    ends = [_path_ends(scene.traced, camera, share, _state(random)) for camera in cameras]
-    parts = [joined_points(ends)]
-    if not len(parts[0]):
+    every = joined_points([_path_ends(scene.traced, c, share, _state(random)) for c in cameras])
+    if not len(every):
         return IrradianceCache.empty(len(scene.mitsuba.emitters()))
-    seen = [_seen_evenly(scene.traced, parts[0], random)]
+    seen = [_seen_evenly(scene.traced, every, random)]
     progress(1, total)
     for generation in range(1, _GENERATIONS):
         # What is seen from there must be known as well, to know what it reflects.
-        further = _unknown(seen[-1], joined_points(parts), grid, points, random)
+        further = _unknown(seen[-1], every, grid, points, random)
         if not len(further):
             break
-        parts.append(further)
+        every = joined_points([every, further])
         seen.append(_seen_evenly(scene.traced, further, random))
         progress(generation + 1, total)
-    every = joined_points(parts)
     cells = Cells.of(every, grid, lambda one, other, side: _joined(scene.mitsuba, every, one, other, side))
     direct, samples = gather_direct(scene.traced, every, _state(random))
     places = GuidedPlaces(every, cells, direct)
@@ -256,11 +251,6 @@ def _unknown(seen: Seen, known: Points, grid: Grid, count: int, random: np.rando
 
 def _state(random: np.random.Generator) -> int:
     return int(random.integers(1 << 32))
-
-
-def _scale(scene: Scene, camera: Camera) -> float:
-    distance = scene.surfaces().median_distance(camera)
-    return distance if np.isfinite(distance) else float(dr.max(scene.mitsuba.bbox().extents()))
 
 
 def _path_ends(scene: AnyScene, camera: Camera, count: int, seed: int) -> Points:

@@ -73,7 +73,7 @@ def read_path(file: Path, up: Array) -> tuple[list[Array], float | None]:
     return poses, radius
 
 
-def _pose(frame: dict[str, Any], up: Array) -> Array:
+def _pose(frame: object, up: Array) -> Array:
     """(4, 4) camera-to-world of a frame, OpenCV axes."""
     if not isinstance(frame, dict):
         raise ValueError("not an object")
