@@ -64,7 +64,12 @@ def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
     if missing := [str(file.relative_to(root)) for file in files if not file.is_file()]:
         named = ", ".join(missing[:_MOST_NAMED]) + (", ..." if len(missing) > _MOST_NAMED else "")
         raise UserError(f"{root}: {len(missing):,} of {len(files):,} images are missing: {one_line(named)}")
-    held_out = _held_out(model / _HELD_OUT, [image.name for image in shots])
+    names, path = [image.name for image in shots], model / _HELD_OUT
+    held_out = set(names[::HELD_OUT_EVERY] if len(names) > HELD_OUT_EVERY else [])
+    if path.is_file():
+        with reading(path):
+            require_size_below(path, _MOST_NAMES)
+            held_out = {line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()}
     images = []
     for image, file in zip(shots, files, strict=True):
         if image.camera not in found.cameras:
@@ -75,14 +80,6 @@ def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
             raise UserError(f"{model}: {one_line(image.name)}: {one_line(error)}") from error
         images.append(PosedImage(camera, lens, file, None, 0.0, image.name in held_out))
     return images, found.points
-
-
-def _held_out(path: Path, names: list[str]) -> set[str]:
-    if path.is_file():
-        with reading(path):
-            require_size_below(path, _MOST_NAMES)
-            return {line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()}
-    return set(names[::HELD_OUT_EVERY] if len(names) > HELD_OUT_EVERY else [])
 
 
 def _view(camera: ModelCamera, pose: Array, size: tuple[int, int]) -> tuple[Camera, Lens | None]:

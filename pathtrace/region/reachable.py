@@ -139,7 +139,14 @@ class FreeSpace:
 
     def _flooded(self) -> _Nodes:
         """(N, 3) nodes that can be reached, in the order of steps."""
-        known, front = np.zeros(0, dtype=np.int64), self._first()
+        axis = range(-_FIRST_STEPS, _FIRST_STEPS + 1)
+        front = np.array(list(itertools.product(axis, repeat=3)), dtype=np.int64)
+        for is_good in (self._is_within, self._is_free):
+            front = front[is_good(front)]
+        ends, homes = self._position(front), np.tile(self._home, (len(front), 1))
+        # No wider than the place where the camera stands.
+        front = front[self._are_passable(homes, ends, min(self.radius, 0.5 * self._home_clearance))]
+        known = np.zeros(0, dtype=np.int64)
         reached, total = [front], len(front)
         while len(front):
             known = np.union1d(known, _key(front))
@@ -159,17 +166,6 @@ class FreeSpace:
             reached.append(front)
             total += len(front)
         return np.concatenate(reached)
-
-    def _first(self) -> _Nodes:
-        """(N, 3) nodes around the camera to which it can step."""
-        axis = range(-_FIRST_STEPS, _FIRST_STEPS + 1)
-        nodes = np.array(list(itertools.product(axis, repeat=3)), dtype=np.int64)
-        for is_good in (self._is_within, self._is_free):
-            nodes = nodes[is_good(nodes)]
-        ends = self._position(nodes)
-        # No wider than the place where the camera stands.
-        radius = min(self.radius, 0.5 * self._home_clearance)
-        return nodes[self._are_passable(np.tile(self._home, (len(ends), 1)), ends, radius)]
 
     def _is_within(self, nodes: _Nodes) -> Mask:
         points, limit = self._position(nodes), self.measures

@@ -68,7 +68,14 @@ def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None
         integrator = mi.load_dict({"type": kind, "hide_emitters": scene.optics.hides_emitters})
         by = f"Mitsuba's {kind}, which does not have its integrator,"
     seen_by = perspective_sensor(own, scene.name, sensor)
-    _shrink(seen_by)
+    # About _SIDE pixels along the longer side of its crop window.
+    film = mi.traverse(seen_by)
+    names = [f"film.{name}" for name in ("size", "crop_offset", "crop_size")]
+    scale = _SIDE / np.array(film[names[-1]]).max()
+    for name in names:
+        least = 0 if name.endswith("offset") else 1
+        film[name] = np.maximum(np.round(np.array(film[name]) * scale), least).astype(int).tolist()
+    film.update()
     tracer, small = Tracer(scene), scene.place.camera(camera_of_sensor(seen_by, scene.name))
     try:
         theirs = [_rendered(own, seen_by, integrator, number) for number in range(_PICTURES)]
@@ -108,17 +115,6 @@ def _differ(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
     around = maximum_filter(np.maximum(*means), size=(3, 3, 1))
     bound = _ERRORS * np.sqrt(variance) + _SHARE * around
     return (np.abs(means[0] - means[1]) > bound).any(axis=-1)
-
-
-def _shrink(sensor: mi.Sensor) -> None:
-    """Gives a sensor's film, and its crop window, about _SIDE pixels along the window's longer side."""
-    film = mi.traverse(sensor)
-    names = [f"film.{name}" for name in ("size", "crop_offset", "crop_size")]
-    scale = _SIDE / np.array(film[names[-1]]).max()
-    for name in names:
-        least = 0 if name.endswith("offset") else 1
-        film[name] = np.maximum(np.round(np.array(film[name]) * scale), least).astype(int).tolist()
-    film.update()
 
 
 def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> mi.Scene:
