@@ -69,7 +69,7 @@ class Passed:
     """An argument that says what stands for it in a recording."""
 
     flat: tuple[Any, ...]  # its type and itself, and values for Dr.Jit
-    value: object  # what the function gets
+    value: Any  # what the function gets
 
 
 class Frozen(Generic[_Result]):

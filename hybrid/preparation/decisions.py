@@ -20,8 +20,8 @@ from hybrid.preparation.scene_look import HALF_SPP, Look
 from hybrid.preparation.stages import Needs
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
+from pathtrace.region import NEAR, ViewingRegion
 from pathtrace.region.view_coverage import ViewCoverage
-from pathtrace.region.viewing_regions import NEAR, ViewingRegion
 from pathtrace.scene.scene import DEPTH, ROULETTE, RUSSIAN_ROULETTE_DEPTH, Scene
 from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.path_depths import MOST_SEGMENTS, UNBOUNDED, depth_shares, path_costs

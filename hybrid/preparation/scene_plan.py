@@ -35,8 +35,8 @@ from hybrid.preparation.decisions import (
     sample_decisions,
 )
 from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
-from pathtrace.region.viewing_regions import NEAR, region_of
-from pathtrace.scene.difficulties import light_difficulties
+from pathtrace.region import NEAR, region_of
+from pathtrace.scene.optics import light_difficulties
 from pathtrace.scene.scene import DEPTH, Scene
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from compose.fusion.parents import Parents
 from compose.image.colour import MOST, Image, filled, outliers
 from compose.image.device_image import DeviceImage, all_plain
 from hybrid.base.compute_device import device_arrays
-from pathtrace.trace.denoise import denoise, denoise_coarsely
+from pathtrace.trace.traced_images import denoise, denoise_coarsely
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def test_a_damaged_file_is_replaced(cache, tmp_path, damage):
 
 
 def test_an_empty_cache_goes_through_a_file(cache, tmp_path):
-    empty = IrradianceCache.empty(cache.cells.grid, 1)
+    empty = IrradianceCache.empty(1)
     stored_cache(tmp_path / "a.safetensors", lambda: empty)
     assert_same(stored_cache(tmp_path / "a.safetensors", never), empty)
 

@@ -14,7 +14,6 @@ import pytest
 from compose.camera.camera import Camera
 from hybrid.evaluation import integrator_bench as look_up
 from hybrid.evaluation.integrator_bench import look_up_ns
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
@@ -39,7 +38,7 @@ class Clock:
 
 
 def nothing_known() -> IrradianceCache:
-    return IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 1)
+    return IrradianceCache.empty(1)
 
 
 @pytest.fixture(scope="module")

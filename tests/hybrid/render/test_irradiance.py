@@ -14,7 +14,7 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.irradiance import cache_for
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from tests import small
 from tests.compose.arrays_of import host
 
