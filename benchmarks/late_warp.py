@@ -17,10 +17,9 @@ from compose.camera.camera import Camera
 from compose.image.colour import decibels
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window.frame_source import FrameSource
-from hybrid.window.late_warp import late_warped
+from hybrid.window.frame_source import SceneSource
+from hybrid.window.key_bindings import Walker
 from hybrid.window.messages import Request, ShownFrame
-from hybrid.window.navigation import Walker
 
 _SIZES = (640, 480), (960, 540)
 # Seconds by which frames are late.
@@ -39,7 +38,7 @@ _FRAMES, _TIMED, _WARM_UP = 4, 9, 3
 
 def measured(scene_name: str, file: Path) -> dict[str, Any]:
     """Rows: PSNR in dB of the late and the warped frame against one from where the viewer is, and ms."""
-    source = FrameSource(LiveRenderer(hybrid.load_scene(scene_name), hybrid.load_forest(file)))
+    source = SceneSource(LiveRenderer(hybrid.load_scene(scene_name), hybrid.load_forest(file)))
     rows = []
     for width, height in _SIZES:
         for name, movement in _MOVEMENTS.items():
@@ -52,7 +51,7 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
                 walker.walk(aside, 0, ahead)
                 newest = walker.camera(width, height)
                 expected, late = (_shown(source, camera) for camera in (newest, before))
-                warps = [late_warped(late, newest, source) for _ in range(_WARM_UP + _TIMED)]
+                warps = [source.warped(late, newest) for _ in range(_WARM_UP + _TIMED)]
                 times = [warp.milliseconds["warp"] for warp in warps[_WARM_UP:]]
                 row = {"width": width, "height": height, "movement": name, "direction": direction}
                 errors = {"late": _error(late, expected), "warped": _error(warps[-1], expected)}
@@ -60,7 +59,7 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def _shown(source: FrameSource, camera: Camera) -> ShownFrame:
+def _shown(source: SceneSource, camera: Camera) -> ShownFrame:
     """What the window shows of a view that it has just come to."""
     source.forget()
     request = Request(replace(INTERACTIVE, camera=camera))

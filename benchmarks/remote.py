@@ -154,7 +154,7 @@ def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any
     """By how many JOD frames of late cuts differ from those of cuts that are found here."""
     from hybrid.measure.perceptual_metrics import jod
     from hybrid.render.splat_renderer import SplatRenderer
-    from hybrid.window.remote.view_cuts import ViewCuts
+    from hybrid.window.remote.server import ViewCuts
 
     renderer, cuts = SplatRenderer(remote.forest), ViewCuts(remote.forest, _SETTINGS)
 

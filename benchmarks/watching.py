@@ -29,7 +29,7 @@ from compose.eye.gaze import Gaze
 from hybrid.base.progress import no_progress
 from hybrid.preparation.forest_errors import Judges
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window.frame_source import FrameSource, prepared
+from hybrid.window.frame_source import SceneSource, prepared
 from hybrid.window.learning import ShownScene
 from hybrid.window.messages import Request
 from pathtrace.region.neighbourhood import unseen_views
@@ -56,7 +56,7 @@ _CHANGES = {
 }
 
 
-def _watch(source: FrameSource, seconds: float, times: list[float] | None = None) -> None:
+def _watch(source: SceneSource, seconds: float, times: list[float] | None = None) -> None:
     """Shows frames while the gaze moves, as the window does."""
     camera, end, number = source.camera.resized(*_SIZE), time.perf_counter() + seconds, 0
     while (start := time.perf_counter()) < end:
@@ -68,7 +68,7 @@ def _watch(source: FrameSource, seconds: float, times: list[float] | None = None
             times.append(1000 * (time.perf_counter() - start))
 
 
-def _source(scene: str, learns: bool) -> FrameSource:
+def _source(scene: str, learns: bool) -> SceneSource:
     return prepared(ShownScene(scene), None, learns, INTERACTIVE, no_progress, lambda line: None)
 
 
@@ -106,7 +106,7 @@ def _rates(scene: str) -> dict[str, float]:
     return found
 
 
-def _judges(scene: hybrid.Scene, folder: Path) -> Callable[[FrameSource], float]:
+def _judges(scene: hybrid.Scene, folder: Path) -> Callable[[SceneSource], float]:
     views = list(unseen_views(scene, _VIEWS, _SIDE, _SIDE))
     judges = Judges(folder, Tracer(scene), [view.camera for view in views], [0.0] * _VIEWS, no_progress)
     return lambda source: judges.quality(source.renderer.periphery.forest)["psnr"]

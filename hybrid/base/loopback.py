@@ -1,8 +1,13 @@
-"""Pages for the browsers of this machine: who is answered, and what a page may load."""
+"""Servers: what those that listen have in common, and pages for the browsers of this machine."""
 
 from __future__ import annotations
 
+import logging
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from compose.base.errors import UserError, one_line
 
 ADDRESS = "127.0.0.1"
 # The page loads nothing from elsewhere, and tells nobody its address, which holds the token.
@@ -13,6 +18,18 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+# Of connections: what happens to them is told otherwise, or no error, as browsers that connect and leave.
+QUIET = logging.getLogger("hybrid.websockets")
+QUIET.disabled = True
+
+
+@contextmanager
+def listening(where: str) -> Iterator[None]:
+    """UserError if a server that is started inside cannot listen there."""
+    try:
+        yield
+    except (OSError, OverflowError) as error:
+        raise UserError(f"{where}: cannot be served ({one_line(error)})") from error
 
 
 class Visitors:

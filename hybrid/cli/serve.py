@@ -62,7 +62,7 @@ def serve(
     token = secrets.token_urlsafe(32) if token_file is None else read_token(token_file)
     o.select(backend)
     from hybrid.preparation.preparation import found_forest, with_forest
-    from hybrid.window.remote.view_cuts import ViewCuts
+    from hybrid.window.remote.server import ViewCuts
 
     loaded, file = found_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
     if file is None:

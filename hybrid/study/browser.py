@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from compose.base.errors import UserError, file_inside, one_line
 from compose.base.files import parse_json
-from hybrid.base.loopback import ADDRESS, HEADERS, Visitors
+from hybrid.base.loopback import ADDRESS, HEADERS, Visitors, listening
 from hybrid.study.session import StudySession
 
 # Of a reply: far more than the pointer's positions in a trial of minutes take.
@@ -33,10 +33,8 @@ def serve_study(session: StudySession, announce: Callable[[str], object], port: 
         UserError: the port cannot be taken.
         Exception: what the session raised, other than a UserError, which the page shows.
     """
-    try:
+    with listening(f"port {port}"):
         server = _Server(session, port)
-    except (OSError, OverflowError) as error:
-        raise UserError(f"port {port}: cannot be served ({one_line(error)})") from error
     with server:
         announce(server.visitors.address(server.server_port))
         server.serve_forever(poll_interval=0.1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import struct
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,8 +16,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from compose.base.errors import UserError, one_line
-from hybrid.base.loopback import ADDRESS, HEADERS, Visitors
+from hybrid.base.loopback import ADDRESS, HEADERS, QUIET, Visitors, listening
 from hybrid.window.page import MOST_BYTES, PageSession, PageShell, asset
 from hybrid.window.viewer import Viewer
 
@@ -26,9 +24,6 @@ from hybrid.window.viewer import Viewer
 _TAKEN_OVER = 4001
 # Seconds in which pages may say goodbye.
 _PARTING = 0.5
-# Browsers connect ahead and leave without a request, which is no error.
-_quiet = logging.getLogger("hybrid.window.connections")
-_quiet.setLevel(logging.CRITICAL)
 
 
 def serve_window(viewer: Viewer, announce: Callable[[str], object], port: int = 0) -> None:
@@ -55,22 +50,19 @@ def serve_window(viewer: Viewer, announce: Callable[[str], object], port: int = 
 
 async def _serve(viewer: Viewer, announce: Callable[[str], object], port: int) -> None:
     visitors, shell = Visitors(), PageShell(viewer)
-    serving = serve(
-        _Pages(viewer, shell).connected,
-        ADDRESS,
-        port,
-        process_request=partial(_answer, visitors),
-        max_size=MOST_BYTES,
-        compression=None,
-        # A page that is busy, or whose renderer compiles, is not gone.
-        ping_interval=None,
-        server_header=None,
-        logger=_quiet,
-    )
-    try:
-        server = await serving
-    except (OSError, OverflowError) as error:
-        raise UserError(f"port {port}: cannot be served ({one_line(error)})") from error
+    with listening(f"port {port}"):
+        server = await serve(
+            _Pages(viewer, shell).connected,
+            ADDRESS,
+            port,
+            process_request=partial(_answer, visitors),
+            max_size=MOST_BYTES,
+            compression=None,
+            # A page that is busy, or whose renderer compiles, is not gone.
+            ping_interval=None,
+            server_header=None,
+            logger=QUIET,
+        )
     try:
         announce(visitors.address(server.sockets[0].getsockname()[1]))
         await shell.run()

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from compose.eye.acuity import ACUITY_MODELS
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.messages import ShownView
-from hybrid.window.navigation import Playback
 
 # Ends of the sliders: radii and scale in percent.
 _MOST_RADIUS, _MOST_SPP, _LEAST_SCALE, _MOST_RATE = 75, 16, 25, 3
@@ -23,6 +22,25 @@ _MANUAL = ("samples", "coarsest layer", "finest layer", "finest rate", "scale")
 _TIME = ("play", "speed", "time")
 # The ends of ranges, which push each other.
 _RANGES = (("fov-b", "fov-a"), ("coarsest layer", "finest layer"))
+
+
+class Playback:
+    """Time of a scene, which goes from 0 to 1 in the given seconds if its speed is 1, while it is playing."""
+
+    def __init__(self, seconds: float):
+        self._seconds, self._time, self._before = seconds, 0.0, 0.0
+        self.playing, self.speed = False, 1.0
+
+    def at(self, now: float) -> float:
+        """The time at `now`, in seconds of a clock that does not go back; after 1 comes 0."""
+        if self.playing:
+            self._time = (self._time + (now - self._before) * self.speed / self._seconds) % 1
+        self._before = now
+        return self._time
+
+    def seek(self, time: float) -> None:
+        """Goes to a time from 0 to 1."""
+        self._time = time
 
 
 @dataclass(frozen=True)

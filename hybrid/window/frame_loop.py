@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from PIL import Image as Pillow
@@ -26,7 +25,7 @@ from hybrid.measure.image_metrics import ssim
 from hybrid.measure.perceptual_metrics import jod
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.frame_source import FrameSource
+from hybrid.window.frame_source import FrameSource, SceneSource
 from hybrid.window.messages import Request, ShownFrame
 from pathtrace.region.neighbourhood import unseen_views
 
@@ -183,7 +182,7 @@ def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[Mea
     The request has the window's size, acuity model and display. UserError if the cache folder cannot be
     written, or if a file in it is damaged.
     """
-    if not source.has_scene:
+    if not isinstance(source, SceneSource):
         return [MeasuredSettings(like.settings, 1.0, 0.0)]
     window = like.settings.camera or source.camera
     camera = source.camera.resized(window.width, window.height)
@@ -200,20 +199,17 @@ def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[Mea
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
     """Settings from very coarse to very fine, with the base's acuity model, display and share of the band."""
     plain = replace(base, spp=1, layers=None, rate=0, scale=1.0)
-
-    def made(fov_a: float, **other: Any) -> FrameSettings:
-        return replace(plain.with_radius(fov_a), **other)
-
-    coarse = [made(radius, scale=scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
-    coarse += [made(radius, rate=1) for radius in (8.0, 15.0)]
-    coarse += [made(8.0, layers=(1, layers - 1))] if layers > 1 else []
-    fine = [made(radius) for radius in _RADII]
-    fine += [made(radius, spp=spp) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
-    return list(dict.fromkeys(coarse + fine))
+    of = {radius: plain.with_radius(radius) for radius in _RADII}
+    found = [replace(of[radius], scale=scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
+    found += [replace(of[radius], rate=1) for radius in (8.0, 15.0)]
+    found += [replace(of[8.0], layers=(1, layers - 1))] if layers > 1 else []
+    found += of.values()
+    found += [replace(of[radius], spp=spp) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
+    return list(dict.fromkeys(found))
 
 
 def _measured(
-    source: FrameSource, camera: Camera, base: FrameSettings, report: Progress
+    source: SceneSource, camera: Camera, base: FrameSettings, report: Progress
 ) -> list[MeasuredSettings]:
     wanted = candidates(base, source.layers)
     report(0, len(wanted) + 1, _ACTIVITY)
@@ -239,7 +235,7 @@ def _measured(
     return measured
 
 
-def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
+def _quality(source: SceneSource, settings: FrameSettings, view: View, truth: Image) -> float:
     """JOD, or SSIM without FovVideoVDP, of a view's first frame for a viewer with the settings' gaze."""
     source.forget()
     own = replace(settings, camera=view.camera, time=view.time)

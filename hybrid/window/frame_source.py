@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from hybrid.base.progress import Progress, bars_of
 from hybrid.preparation.preparation import prepare, with_forest
 from hybrid.preparation.scene_plan import as_stored, with_plan_of
 from hybrid.preparation.stages import GLIMPSE, PreparationSettings
+from hybrid.render.forest_attachments import scene_as_trained
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
@@ -22,7 +24,7 @@ from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
 from hybrid.window.learning import ShownScene, Watched, forest_to_show
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
-from hybrid.window.window_views import ConvergingFrame, image_of
+from hybrid.window.window_views import ConvergingFrame, image_of, late_warped
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace import Integrator
@@ -37,11 +39,41 @@ _ENOUGH = 4096
 _RELEASE_EVERY = 2.0
 
 
-class FrameSource:
-    """Frames of one scene, which may change and be learnt meanwhile if it is watched."""
+class FrameSource(Protocol):
+    """Renders what the window asks for, on one thread."""
 
-    # Whether the scene is here, to trace and to measure against.
-    has_scene = True
+    @property
+    def camera(self) -> Camera:
+        """The scene's own camera."""
+
+    @property
+    def layers(self) -> int:
+        """Number of layers of the forest."""
+
+    def ready(self) -> Ready:
+        """What the window needs to know."""
+
+    def show(self, request: Request, quick: bool) -> ShownFrame:
+        """The requested image, a little better with each call; if `quick`, in no more time."""
+
+    def warped(self, shown: ShownFrame, newest: Camera) -> ShownFrame:
+        """The last frame as another camera sees it, if that can be told; see `late_warped`."""
+
+    def renew(self, report: Progress) -> bool:
+        """Takes what has changed or been learnt since the last time; whether frames look different now.
+
+        UserError if the cache folder cannot be written.
+        """
+
+    def save(self, png: Path) -> None:
+        """Writes what was shown last: the image as PNG and, beside it, its frame as EXR."""
+
+    def close(self) -> None:
+        """Ends what runs beside."""
+
+
+class SceneSource:
+    """Frames of a scene that is here, which may change and be learnt meanwhile if it is watched."""
 
     def __init__(self, renderer: LiveRenderer, watched: Watched | None = None, forest: Path | None = None):
         """Also takes the file of the renderer's forest, from which a changed scene is learnt."""
@@ -53,16 +85,13 @@ class FrameSource:
 
     @property
     def camera(self) -> Camera:
-        """The scene's own camera."""
         return self.renderer.scene.camera
 
     @property
     def layers(self) -> int:
-        """Number of layers of the forest."""
         return len(self.renderer.periphery.forest.counts)
 
     def ready(self) -> Ready:
-        """What the window needs to know."""
         scene = self.renderer.scene
         distance = scene.surfaces().median_distance(scene.camera)
         distance = distance if np.isfinite(distance) else 1.0
@@ -70,18 +99,16 @@ class FrameSource:
         return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
-        """The requested image, a little better with each call; if `quick`, in no more time."""
         self._seed += 1
         request = replace(request, settings=self._possible(request.settings))
         # What frames of another size or kind needed.
         if time.monotonic() - self._released > _RELEASE_EVERY:
             release_memory()
             self._released = time.monotonic()
-        last = self._last if request.same_frame(self._last.request if self._last else None) else None
-        frame, paths = self._rendered(request, last.frame if last else None, quick)
+        last = self._last if self._last and request.same_frame(self._last.request) else None
+        frame, paths = self._rendered(request, last and last.frame, quick)
         # A frame that is only shown again has taken no time.
-        fresh = last is None or frame is not last.frame
-        passes = dict(frame.milliseconds) if fresh else {}
+        passes = {} if last and frame is last.frame else dict(frame.milliseconds)
         before = passes.pop("total", 0.0)
         clock = PassClock()
         path_traced, more_paths = None, 0
@@ -103,11 +130,10 @@ class FrameSource:
         )
         return self._last
 
-    def renew(self, report: Progress) -> bool:
-        """Takes what has changed or been learnt since the last time; whether frames look different now.
+    def warped(self, shown: ShownFrame, newest: Camera) -> ShownFrame:
+        return late_warped(shown, newest, self.renderer.tracer)
 
-        UserError if the cache folder cannot be written.
-        """
+    def renew(self, report: Progress) -> bool:
         if self._watched is None:
             return False
         scene = self._watched.changed()
@@ -137,7 +163,6 @@ class FrameSource:
         watched.learn(self._forest, urgent=True)
 
     def close(self) -> None:
-        """Ends what runs beside."""
         if self._watched is not None:
             self._watched.stop()
 
@@ -147,7 +172,6 @@ class FrameSource:
         self.renderer.forget()
 
     def save(self, png: Path) -> None:
-        """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR."""
         if self._last is not None:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
@@ -187,7 +211,7 @@ def prepared(
     settings: FrameSettings,
     report: Progress,
     say: Callable[[str], object],
-) -> FrameSource:
+) -> SceneSource:
     """The source of a scene's frames, the first of which has these settings.
 
     Unless a forest file is given, the best one at hand is shown, or one that takes seconds; if `learns`,
@@ -201,11 +225,13 @@ def prepared(
     path, is_unfinished = (forest, False) if forest else forest_to_show(loaded)
     if path is None:
         glimpse = prepare(loaded, PreparationSettings(quality=GLIMPSE, held_out=0), bars)
-        path = Path(glimpse.facts["forest"])
-    loaded, found = with_forest(loaded, path, bars)
+        found, path = glimpse.forest, Path(glimpse.facts["forest"])
+        loaded = scene_as_trained(loaded, found)
+    else:
+        loaded, found = with_forest(loaded, path, bars)
     if settings.used_integrator is Integrator.CACHED:
         cache_for(loaded, bars)
     watched = Watched(scene, learns and forest is None, say)
     if is_unfinished:
         watched.learn(path)
-    return FrameSource(LiveRenderer(loaded, found), watched, path)
+    return SceneSource(LiveRenderer(loaded, found), watched, path)

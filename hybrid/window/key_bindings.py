@@ -1,4 +1,4 @@
-"""Keys of the window: what each one does, and walking while some of them are held.
+"""Keys of the window: what each one does, and walking through the scene while some of them are held.
 
 Keys have the names that browsers give them (`KeyboardEvent.key`), letters in lower case.
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from enum import Enum
 
+import numpy as np
+
+from compose.camera.camera import Array, Camera, turned
 from hybrid.window.messages import ShownView
-from hybrid.window.navigation import Walker
 
 # Right, down and forward.
 _WALK = {"w": (0, 0, 1), "s": (0, 0, -1), "a": (-1, 0, 0), "d": (1, 0, 0), "q": (0, 1, 0), "e": (0, -1, 0)}
@@ -16,6 +18,8 @@ _WALK = {"w": (0, 0, 1), "s": (0, 0, -1), "a": (-1, 0, 0), "d": (1, 0, 0), "q": 
 _LOOK = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 # Walking speed in median distances per second, and turning speed in degrees per second.
 _PACE, _TURN = 0.3, 60.0
+# Steepest look up or down, in degrees.
+_MOST_PITCH = 85.0
 
 
 class Command(Enum):
@@ -59,6 +63,46 @@ _HELP = {
     **{"Space" if key == " " else key.capitalize(): command.value for key, command in COMMANDS.items()},
 }
 HELP = [f"{keys:<14}{effect}" for keys, effect in _HELP.items()]
+
+
+class Walker:
+    """A viewer who starts at a home camera, whose upward axis stays upward."""
+
+    def __init__(self, home: Camera):
+        self._home = home
+        self.reset()
+
+    def reset(self) -> None:
+        """Returns to where the walk began."""
+        self._offset: Array = np.zeros(3)
+        self._yaw = self._pitch = 0.0
+        self._view: Camera | None = None
+
+    def look(self, right: float, down: float) -> None:
+        """Turns by angles in degrees."""
+        self._view = None
+        self._yaw += right
+        self._pitch = float(np.clip(self._pitch + down, -_MOST_PITCH, _MOST_PITCH))
+
+    def walk(self, right: float, down: float, forward: float) -> None:
+        """Moves along the axes of the view, in units of the scene."""
+        self._view = None
+        self._offset = self._offset + self._rotation() @ np.array([right, down, forward])
+
+    def camera(self, width: int, height: int) -> Camera:
+        """The view in a frame of that many pixels; the same object as long as nothing moves."""
+        if self._view is None or (self._view.width, self._view.height) != (width, height):
+            self._view = self._home.resized(width, height)
+            if self._offset.any() or self._yaw or self._pitch:
+                pose = np.eye(4)
+                pose[:3, :3] = self._rotation()
+                pose[:3, 3] = self._home.position + self._offset
+                self._view = self._view.at(pose)
+        return self._view
+
+    def _rotation(self) -> Array:
+        """(3, 3) camera-to-world rotation of the view."""
+        return turned(self._home.camera_to_world[:3, :3], self._yaw, -self._pitch)
 
 
 class HeldKeys(set[str]):

@@ -10,28 +10,28 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import locked
 from hybrid.base.cache_folder import newest_forest, scene_folder
-from hybrid.base.progress import Bar, Bars
+from hybrid.base.progress import Progress, bars_of
 from hybrid.preparation.preparation import Staged, prepare
 from hybrid.preparation.scene_plan import as_planned
 from hybrid.preparation.stages import GLIMPSE, LIVE, PreparationSettings
 from hybrid.window.messages import Newest
-from hybrid.window.scene_watch import SceneWatch
 from pathtrace.scene.backend import select_backend
-from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.scene.scene import Scene, files_of_scene, load_scene
 from splat.io.forest_file import load_forest
 from splat.model.forest import Forest
 
-# Seconds between two lines about the progress.
-_EVERY = 1.0
+# Seconds between two lines about the progress, and between two looks at a scene's files: folders of other
+# machines tell nobody of their changes.
+_LINE_EVERY, _LOOK_EVERY = 1.0, 0.5
+_Stamps: TypeAlias = dict[Path, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,7 @@ class Learner:
     ):
         self.forests: Newest[tuple[Path, Forest]] = Newest()
         self._say, self._ending = say, False
-        given = json.dumps(
-            {"scene": asdict(scene), "start": None if start is None else str(start), "urgent": urgent}
-        )
+        given = json.dumps({"scene": asdict(scene), "start": start and str(start), "urgent": urgent})
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__, given],
             stdin=subprocess.PIPE,
@@ -108,6 +106,42 @@ class Learner:
         code = self._process.wait()
         if code and not self._ending:
             self._say(f"learning has ended unexpectedly, with code {code}")
+
+
+class SceneWatch:
+    """Looks now and then at the files of a scene, given as in `load_scene`."""
+
+    def __init__(self, source: str | Path):
+        self._source, self._files = source, files_of_scene(source)
+        self._known = self._seen = self._stamps({})
+        self._next = 0.0
+
+    def changed(self) -> bool:
+        """Whether files have changed since the last time, and are no longer being written.
+
+        What files there are is asked of the scene after a change only: its XML may have megabytes.
+        """
+        now = time.monotonic()
+        if now < self._next:
+            return False
+        self._next = now + _LOOK_EVERY
+        before, self._seen = self._seen, self._stamps(self._seen)
+        if self._seen == self._known or self._seen != before:
+            return False
+        try:
+            self._files = files_of_scene(self._source)
+        except UserError:
+            return False  # until it can be read
+        self._known = self._seen = self._stamps(self._seen)
+        return True
+
+    def _stamps(self, before: _Stamps) -> _Stamps:
+        """Times and sizes of the files; those of before while one of them is missing."""
+        try:
+            found = {file: file.stat() for file in self._files}
+        except OSError:
+            return before
+        return {file: (stat.st_mtime_ns, stat.st_size) for file, stat in found.items()}
 
 
 class Watched:
@@ -157,7 +191,8 @@ def _learn(given: dict[str, Any], tell: Callable[..., None]) -> None:
     if not given["urgent"]:
         _give_way()
     select_backend(shown.backend)
-    scene = as_planned(shown.load(), _bars(tell))
+    bars = bars_of(_telling(tell))
+    scene = as_planned(shown.load(), bars)
     newest = newest_forest(scene)
     if newest is not None and not newest.name.startswith(LIVE):
         return tell("prepared earlier", newest)
@@ -171,7 +206,7 @@ def _learn(given: dict[str, Any], tell: Callable[..., None]) -> None:
     settings = PreparationSettings(quality=LIVE, held_out=0)
     # Another window may still be learning it.
     with locked(scene_folder(scene.name, scene.hash) / "learning"):
-        prepared = prepare(scene, settings, _bars(tell), start=forest, told=told)
+        prepared = prepare(scene, settings, bars, start=forest, told=told)
     tell("all stages are learnt", Path(prepared.facts["forest"]))
 
 
@@ -186,22 +221,17 @@ def _give_way() -> None:
         os.nice(19)
 
 
-def _bars(tell: Callable[..., None]) -> Bars:
-    return lambda title: _lines(title, tell)
-
-
-@contextmanager
-def _lines(title: str, tell: Callable[..., None]) -> Iterator[Bar]:
-    """A bar that tells a line from time to time."""
+def _telling(tell: Callable[..., None]) -> Progress:
+    """Tells a line about the progress from time to time."""
     told = time.monotonic()
 
-    def bar(done: int, total: int, step: str = "") -> None:
+    def report(done: int, total: int, label: str) -> None:
         nonlocal told
-        if time.monotonic() - told > _EVERY:
+        if time.monotonic() - told > _LINE_EVERY:
             told = time.monotonic()
-            tell(f"learning: {title.split(' (')[0]} {done / max(total, 1):.0%}")
+            tell(f"learning: {label.split(' (')[0]} {done / max(total, 1):.0%}")
 
-    yield bar
+    return report
 
 
 def _interrupt_with(stream: IO[str]) -> None:

@@ -6,16 +6,29 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
-from PySide6.QtCore import QCoreApplication, QEvent, QObject, QPointF, QSize, Qt, QTimer, Signal
+from PySide6.QtCore import QCoreApplication, QEvent, QPointF, QSignalBlocker, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QCloseEvent, QKeyEvent, QMouseEvent
-from PySide6.QtWidgets import QApplication, QDockWidget, QMainWindow, QProgressBar
+from PySide6.QtWidgets import (
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QDockWidget,
+    QFormLayout,
+    QLabel,
+    QMainWindow,
+    QProgressBar,
+    QScrollArea,
+    QSlider,
+    QWidget,
+)
 
 from compose.eye.gaze import Gaze
 from hybrid.window.canvas import Canvas
+from hybrid.window.controls import Control, Controls
 from hybrid.window.key_bindings import COMMANDS, OF_THE_SHELL, Command
 from hybrid.window.messages import ShownFrame
-from hybrid.window.panel import Panel, controls_dock
 from hybrid.window.viewer import Viewer
 
 _Key = Qt.Key
@@ -31,17 +44,82 @@ _NAMES: dict[int, str] = {
 }
 
 
-class _Posted(QObject):
-    """Calls functions on the thread that it was made on."""
+# Widths of a slider in pixels, and of a list in letters.
+_SLIDER_WIDTH, _LETTERS = 100, 12
 
-    post = Signal(object)
 
-    def __init__(self) -> None:
+class Panel(QWidget):
+    """Sliders, lists and switches that show the controls' values; `widgets` are those of each, by name."""
+
+    # Name and value: a control was changed by hand.
+    chosen = Signal(str, int)
+
+    def __init__(self, controls: Controls):
         super().__init__()
-        self.post.connect(self._call)
+        self._controls, form = controls, QFormLayout(self)
+        self._labels: dict[str, QLabel] = {}
+        self.widgets: dict[str, QSlider | QComboBox | QCheckBox] = {}
+        for control in controls.all:
+            self.widgets[control.name] = widget = self._widget(control)
+            self._labels[control.name] = label = QLabel()
+            form.addRow(label, widget)
+        # Keys belong to the frame: a control with the focus would react to arrows and letters.
+        for widget in self.findChildren(QWidget):
+            widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._seen: dict[str, int] = {}
+        self.refresh()
 
-    def _call(self, function: Callable[[], None]) -> None:
-        function()
+    def refresh(self) -> None:
+        """Shows the values as they are now."""
+        if self._seen == self._controls.values:
+            return
+        self._seen = dict(self._controls.values)
+        for control in self._controls.all:
+            widget, value = self.widgets[control.name], self._controls.values[control.name]
+            with QSignalBlocker(widget):
+                if isinstance(widget, QSlider):
+                    widget.setValue(value)
+                elif isinstance(widget, QComboBox):
+                    widget.setCurrentIndex(value)
+                else:
+                    widget.setChecked(bool(value))
+            widget.setEnabled(self._controls.is_enabled(control.name))
+            self._labels[control.name].setText(self._controls.text(control))
+
+    def _widget(self, control: Control) -> QSlider | QComboBox | QCheckBox:
+        chosen = partial(self.chosen.emit, control.name)
+        if control.kind == "slider":
+            slider = QSlider(Qt.Orientation.Horizontal)
+            slider.setRange(control.low, control.high)
+            slider.setMinimumWidth(_SLIDER_WIDTH)
+            slider.valueChanged.connect(chosen)
+            return slider
+        if control.kind == "switch":
+            box = QCheckBox()
+            box.toggled.connect(lambda on: chosen(int(on)))
+            return box
+        entries = QComboBox()
+        entries.addItems(control.entries)
+        # The longest entry must not take the room of the frame.
+        entries.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        entries.setMinimumContentsLength(_LETTERS)
+        entries.currentIndexChanged.connect(chosen)
+        return entries
+
+
+def controls_dock(panel: Panel) -> QDockWidget:
+    """A dock that shows a panel in its full width and scrolls it where it is too high."""
+    # Without scrolling, a small frame would grow to the height of the controls.
+    scrolled = QScrollArea()
+    scrolled.setWidget(panel)
+    scrolled.setWidgetResizable(True)
+    scrolled.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    bar = scrolled.verticalScrollBar().sizeHint().width()
+    scrolled.setFixedWidth(panel.sizeHint().width() + bar)
+    dock = QDockWidget("controls")
+    dock.setWidget(scrolled)
+    dock.setFeatures(QDockWidget.DockWidgetFeature.NoDockWidgetFeatures)
+    return dock
 
 
 class MainWindow(QMainWindow):
@@ -52,9 +130,12 @@ class MainWindow(QMainWindow):
         panel, dock: the controls; None until the scene is loaded.
     """
 
+    # A function, to be called on the window's thread.
+    posted = Signal(object)
+
     def __init__(self, viewer: Viewer):
         super().__init__()
-        self.viewer, self._posted = viewer, _Posted()
+        self.viewer = viewer
         self.canvas = Canvas(QSize(*viewer.options.size))
         self.panel: Panel | None = None
         self.dock: QDockWidget | None = None
@@ -63,20 +144,20 @@ class MainWindow(QMainWindow):
         self.statusBar().addPermanentWidget(bar, 1)
         # Hiding the bar must not change the size of the frame.
         self.statusBar().setFixedHeight(bar.sizeHint().height())
-        self._timer = QTimer(self, interval=self._interval)
+        self._timer = QTimer(self)
         self._timer.timeout.connect(self._tick)
+        self.posted.connect(self._call)
         self.canvas.happened.connect(self._handle)
         self.canvas.painted.connect(lambda shown: viewer.painted(shown, time.perf_counter()))
-        viewer.open(self, self._posted.post.emit)
+        viewer.open(self, self.posted.emit)
         self.refresh()
+        self._wait()
         self._timer.start()
 
     def show_frame(self, shown: ShownFrame) -> None:
-        """Shows a frame; the viewer hears of it once it is painted."""
         self.canvas.show_frame(shown)
 
     def refresh(self) -> None:
-        """Shows texts, progress and controls as they are now."""
         viewer = self.viewer
         self.setWindowTitle(viewer.title)
         self.canvas.write(viewer.hud, viewer.overlay, viewer.shows(Command.RING))
@@ -90,7 +171,9 @@ class MainWindow(QMainWindow):
             self._bar.setFormat(f"{activity} %v / %m" if total else activity)
         if self.panel is None and viewer.controls is not None:
             self.panel = Panel(viewer.controls)
-            self.panel.chosen.connect(self._choose)
+            self.panel.chosen.connect(
+                lambda name, value: self._handle({"type": "control", "name": name, "value": value})
+            )
             self.dock = controls_dock(self.panel)
             self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self.dock)
             # As large as the frame needs it beside the controls, once Qt has laid those out.
@@ -111,8 +194,14 @@ class MainWindow(QMainWindow):
         command = COMMANDS.get(key)
         if command not in OF_THE_SHELL:
             self._handle({"type": "key_down", "key": key, "repeat": event.isAutoRepeat()})
-        elif not event.isAutoRepeat():
-            self._show_in_full() if command is Command.FULL_SCREEN else self._leave()
+        elif event.isAutoRepeat():
+            pass
+        elif self.isFullScreen():
+            self.showNormal()
+        elif command is Command.FULL_SCREEN:
+            self.showFullScreen()
+        else:
+            self.close()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         if not event.isAutoRepeat():
@@ -127,12 +216,12 @@ class MainWindow(QMainWindow):
         if not self.isActiveWindow():
             self._handle({"type": "blur"})
 
+    def _call(self, function: Callable[[], None]) -> None:
+        function()
+
     def _handle(self, event: dict[str, object]) -> None:
         self.viewer.handle(event)
         self._wait()
-
-    def _choose(self, name: str, value: int) -> None:
-        self._handle({"type": "control", "name": name, "value": value})
 
     def _tick(self) -> None:
         if self.viewer.mouse_moves and self.viewer.bench is not None:
@@ -140,21 +229,11 @@ class MainWindow(QMainWindow):
         self.viewer.tick()
         self._wait()
 
-    @property
-    def _interval(self) -> int:
-        """Milliseconds until the next tick."""
-        return round(1000 * self.viewer.interval)
-
     def _wait(self) -> None:
         """Has the next tick come in time; starts no timer anew that would come anyway."""
-        if self._timer.interval() != self._interval:
-            self._timer.setInterval(self._interval)
-
-    def _show_in_full(self) -> None:
-        self.showNormal() if self.isFullScreen() else self.showFullScreen()
-
-    def _leave(self) -> None:
-        self.showNormal() if self.isFullScreen() else self.close()
+        milliseconds = round(1000 * self.viewer.interval)
+        if self._timer.interval() != milliseconds:
+            self._timer.setInterval(milliseconds)
 
 
 def _name(event: QKeyEvent) -> str:

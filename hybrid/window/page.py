@@ -25,8 +25,8 @@ from compose.base.errors import one_line
 from compose.base.files import parse_json
 from hybrid.window.key_bindings import Command
 from hybrid.window.messages import Request, ShownFrame
+from hybrid.window.meter import MOUSE_PATH, MOVE
 from hybrid.window.viewer import Viewer
-from hybrid.window.window_bench import MOUSE_PATH, MOVE
 
 # Frames that are on their way at most: one is being drawn while the next one travels.
 _IN_FLIGHT = 2

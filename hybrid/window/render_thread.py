@@ -14,7 +14,6 @@ from compose.base.errors import UserError
 from hybrid.base.progress import Progress
 from hybrid.window.frame_loop import FrameLoop, ladder_for
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.late_warp import late_warped
 from hybrid.window.messages import Newest, Ready, Request, ShownFrame
 
 # Seconds between two checks of an idle thread whether it is to end.
@@ -133,13 +132,9 @@ class RenderThread:
                 if newer is not None:
                     wait = (begun - newer.asked) * 1000
                     shown = replace(shown, milliseconds={"wait": wait, **shown.milliseconds})
-                self.frames.put(self._to_newest_view(shown, source))
+                # As the camera sees it that has been asked for meanwhile.
+                latest = self.requests.peek()
+                if latest is not None and latest.settings.camera is not None:
+                    shown = source.warped(shown, latest.settings.camera)
+                self.frames.put(shown)
                 self._post(self._listener.on_frame)
-
-    def _to_newest_view(self, shown: ShownFrame, source: FrameSource) -> ShownFrame:
-        """A frame that is ready, as the camera sees it that has been asked for meanwhile."""
-        latest = self.requests.peek()
-        camera = None if latest is None else latest.settings.camera
-        if camera is None or not source.has_scene:
-            return shown
-        return late_warped(shown, camera, source)

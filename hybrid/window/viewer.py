@@ -17,16 +17,14 @@ from typing import Any, Protocol
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.controls import Controls
+from hybrid.window.controls import Controls, Playback
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput, GazeRecording, unused_file
-from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
+from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys, Walker
 from hybrid.window.learning import ShownScene
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
-from hybrid.window.meter import Meter, figures, lines_of, steadiness, summary
-from hybrid.window.navigation import Playback, Walker
+from hybrid.window.meter import Meter, WindowBench, figures, lines_of, steadiness, summary
 from hybrid.window.render_thread import Post, RenderThread
-from hybrid.window.window_bench import WindowBench
 
 # Seconds between two ticks: while something may change without an event, more often than any frame comes;
 # otherwise rarely, since all the time that the shell takes is lost to the renderer.

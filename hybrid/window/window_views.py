@@ -1,7 +1,8 @@
-"""The window's views of a frame in sRGB, and the whole path-traced frame that some of them compare with."""
+"""The window's views of a frame in sRGB, late frames, and the path-traced frame that views compare with."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -10,14 +11,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import uploaded
 from compose.camera.camera import Camera
+from compose.fovea.warping import CELL, grid, warped
 from compose.image.colour import Image, srgb_from_radiance
-from compose.image.device_image import srgb_curve
+from compose.image.device_image import DeviceImage, srgb_curve
+from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.render.false_colours import levels_picture
 from hybrid.render.frame import Frame
-from hybrid.window.messages import ShownView
-from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
+from hybrid.window.messages import ShownFrame, ShownView
+from pathtrace.trace.film import FilmPositions, frame_positions, interleaved, pixel_positions
 from pathtrace.trace.traced_images import TracedImage, auxiliary_images
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
@@ -131,3 +135,46 @@ def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:
     difference = np.abs(srgb_from_radiance(image) - srgb_from_radiance(reference)).mean(axis=2)
     heat = 3 * np.clip(difference / _STRONGEST, 0, 1)[..., None] - np.arange(3)
     return (np.clip(heat, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+# Distance along each axis up to which two viewpoints are the same: all depths look alike then.
+_SAME_VIEWPOINT = 1e-6
+# Nothing is nearer, or an inverse depth would be infinite.
+_NEAREST = 1e-6
+
+
+def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame:
+    """A frame as the newest camera sees it, at the frame's size.
+
+    It is returned as it is if that camera is its own. The disc stays where it was traced. The time taken is
+    that of a pass, "warp".
+    """
+    if newest == shown.request.settings.camera:
+        return shown
+    clock, arrays, camera = PassClock(), device_arrays(), shown.frame.camera
+    newest = newest.resized(camera.width, camera.height)
+    plain, size = arrays.plain, (camera.width, camera.height)
+    values = plain.Float(uploaded(dr.uint8_array_t(plain.Float), shown.image))
+    dr.eval(values)
+    image = DeviceImage(arrays, values, *size, camera.width)
+    flat = warped(image, _nearness(camera, newest, tracer), camera, newest).values
+    pixels = np.asarray(dr.uint8_array_t(plain.Float)(flat + 0.5)).reshape(shown.image.shape)
+    clock.lap("warp")
+    passes, took = dict(shown.milliseconds), clock.milliseconds()
+    took["total"] += passes.pop("total", 0.0)
+    return replace(shown, image=pixels, milliseconds=passes | took)
+
+
+def _nearness(camera: Camera, newest: Camera, tracer: Tracer) -> Any:
+    """Float, the inverse depth of what the camera sees in each cell; 0 if the newest one has only turned."""
+    arrays, (rows, columns) = device_arrays(), grid(camera)
+    plain = arrays.plain
+    if np.allclose(camera.position, newest.position, rtol=0, atol=_SAME_VIEWPOINT):
+        return dr.zeros(plain.Float, rows * columns)
+    corner = pixel_positions(dr.arange(plain.UInt, rows * columns), columns)
+    centres = FilmPositions((corner.x + 0.5) * CELL, (corner.y + 0.5) * CELL, 0.0, 0.0)
+    dr.eval(centres.x, centres.y)
+    position = tracer.auxiliary(camera, centres, 1, 0).position
+    *axis, origin = arrays.scalars(plain.Float, camera.world_to_camera[2])
+    depth = sum(plain.Float(at) * along for at, along in zip(position, axis, strict=True)) + origin
+    return 1 / dr.maximum(depth, _NEAREST)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hashlib
-import logging
 import ssl
 import threading
 import time
@@ -28,9 +27,9 @@ from compose.camera.camera import Camera
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import home
+from hybrid.base.loopback import QUIET
 from hybrid.base.progress import Progress
 from hybrid.window.messages import Server
-from hybrid.window.remote import masks
 from hybrid.window.remote.protocol import (
     FOREST_PART,
     FOREST_WANTED,
@@ -40,6 +39,7 @@ from hybrid.window.remote.protocol import (
     MaskMessage,
     ViewMessage,
     Welcome,
+    decoded_mask,
 )
 from splat.io.forest_file import load_forest
 from splat.model.cuts import Bits, CutTree
@@ -150,8 +150,6 @@ class Remote:
 
     async def _connected(self) -> None:
         delay = _FIRST_DELAY
-        quiet = logging.getLogger("hybrid.websockets")
-        quiet.propagate, quiet.disabled = False, True
         while True:
             try:
                 async with connect(
@@ -167,7 +165,7 @@ class Remote:
                     close_timeout=1.0,
                     max_size=MOST_FROM_SERVER,
                     max_queue=4,
-                    logger=quiet,
+                    logger=QUIET,
                 ) as connection:
                     await self._begun(connection)
                     delay = _FIRST_DELAY
@@ -290,7 +288,7 @@ class _Received:
         base = self._masks.get(message.base)
         if base is None or message.number <= self.held:
             return None
-        split = masks.decoded(message.content, base)
+        split = decoded_mask(message.content, base)
         self.held, self.sequence = message.number, message.sequence
         kept = {n: mask for n, mask in self._masks.items() if n == 0 or n >= message.base}
         kept[message.number] = split

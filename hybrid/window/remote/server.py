@@ -17,7 +17,7 @@ import time
 import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -33,7 +33,12 @@ from websockets.typing import Subprotocol
 
 from compose.base.errors import UserError, one_line
 from compose.camera.camera import Camera
-from hybrid.window.remote import masks
+from compose.eye.acuity import acuity_model_named
+from compose.eye.detail import LayerRange, detail_map
+from hybrid.base.compute_device import device_arrays
+from hybrid.base.loopback import QUIET, listening
+from hybrid.render.frame_settings import MOST_LEVEL, FrameSettings
+from hybrid.render.periphery import continuous_levels
 from hybrid.window.remote.protocol import (
     FOREST_PART,
     FOREST_WANTED,
@@ -44,11 +49,12 @@ from hybrid.window.remote.protocol import (
     MaskMessage,
     ViewMessage,
     Welcome,
+    encoded_mask,
 )
-from hybrid.window.remote.view_cuts import ViewCuts, with_hierarchy
 from splat.io.forest_file import save_forest
 from splat.model.cuts import Bits
 from splat.model.forest import Forest
+from splat.raster.complete_cut import CompleteCuts
 
 _LOG = logging.getLogger("hybrid")
 # Masks on their way to a client, or back as an answer: at 60 per second, .4 seconds of them, for which one
@@ -89,6 +95,48 @@ class Listening:
     tls: ssl.SSLContext | None = None
 
 
+# Cut-offs do not depend on what layers there are.
+_LAYERS = LayerRange(1.0, (0,))
+
+
+def with_hierarchy(forest: Forest) -> Forest:
+    """The forest with its hierarchy and nothing else that splats alone are drawn without.
+
+    Raises:
+        UserError: something moves in it.
+    """
+    if forest.motion is not None or forest.light is not None:
+        raise UserError(f"something moves in the forest of {forest.scene_name}; only still ones are served")
+    return replace(forest, attached={}, hierarchy=forest.own_hierarchy)
+
+
+class ViewCuts:
+    """Cuts of a forest in which nothing moves.
+
+    Args:
+        forest: what is drawn.
+        settings: level, acuity model, and how many Gaussians a cut has at most, of all directions.
+    """
+
+    def __init__(self, forest: Forest, settings: FrameSettings):
+        self._place, self._level, self._most = forest.place, settings.level or 1.0, settings.gaussians
+        self._model = acuity_model_named(settings.acuity_model)
+        self._cuts = CompleteCuts(device_arrays(), forest.hierarchy_nodes)
+        self.tree = self._cuts.tree
+
+    def split(self, view: ViewMessage, before: Bits | None) -> tuple[Bits, float]:
+        """Which inner nodes (M,) are split for a view, and the level that this is for.
+
+        Most of what was split `before` stays.
+        """
+        camera = view.camera
+        size = camera.width, camera.height
+        detail = detail_map(view.display, view.gaze, *size, self._model, 0.0, _LAYERS)
+        levels = continuous_levels(self._level, detail.cutoff)
+        split, factor = self._cuts.split(self._place.camera(camera), levels, self._most, before)
+        return split, min(self._level * factor, MOST_LEVEL)
+
+
 class ViewServer:
     """Serves the cuts of one forest; backend and forest stay on the thread of `cutting`.
 
@@ -127,23 +175,19 @@ class ViewServer:
         self._open: set[_Connection] = set()
         self.facts = dict.fromkeys(("connections", "clients", "faults", "views", "masks", "mask_bytes"), 0)
 
-    async def run(self, listening: Listening, announce: Callable[[int], object]) -> None:
+    async def run(self, where: Listening, announce: Callable[[int], object]) -> None:
         """Serves until it is cancelled; `announce` gets the port.
 
         Raises:
             UserError: it cannot listen there.
         """
-        quiet = logging.getLogger("hybrid.websockets")
-        quiet.propagate, quiet.disabled = False, True
         limits = self._limits
-        extra: dict[str, Any] = {}
-        if listening.tls is not None:
-            extra = {"ssl": listening.tls, "ssl_handshake_timeout": limits.patience}
-        try:
+        with listening(f"{where.host} {where.port}"):
             server = await serve(
                 self._serve,
-                listening.host,
-                listening.port,
+                where.host,
+                where.port,
+                ssl=where.tls,
                 process_request=self._admit,
                 subprotocols=[Subprotocol(SUBPROTOCOL)],
                 # Deflated already; and nobody can make a small message a large one.
@@ -156,13 +200,9 @@ class ViewServer:
                 max_size=MOST_FROM_CLIENT,
                 max_queue=_MOST_UNREAD,
                 write_limit=_MOST_WAITING,
-                logger=quiet,
+                logger=QUIET,
                 create_connection=partial(_Connection, self),  # type: ignore[arg-type]
-                **extra,
             )
-        except (OSError, OverflowError) as error:
-            said = one_line(error)
-            raise UserError(f"{listening.host} {listening.port}: cannot be served ({said})") from error
         try:
             async with server:
                 announce(server.sockets[0].getsockname()[1])
@@ -278,7 +318,7 @@ class ViewServer:
 
         def found() -> tuple[Bits, float, bytes]:
             split, level = self._cuts.split(view, before)
-            return split, level, masks.encoded(split, np.zeros_like(split) if known is None else known)
+            return split, level, encoded_mask(split, np.zeros_like(split) if known is None else known)
 
         split, level, content = await asyncio.get_running_loop().run_in_executor(self._worker, found)
         return MaskMessage(client.sends(split), base, view.sequence, level, content).packed()

@@ -11,7 +11,6 @@ from compose.camera.camera import Camera
 from hybrid.base.progress import Progress
 from hybrid.render.image_files import write_srgb
 from hybrid.render.splat_renderer import SplatRenderer
-from hybrid.window.frame_source import FrameSource
 from hybrid.window.messages import Ready, Request, Server, ShownFrame, ShownView
 from hybrid.window.remote.client import Cut, Remote
 from hybrid.window.window_views import image_of
@@ -21,34 +20,29 @@ from pathtrace.scene.backend import select_backend
 _WAIT = 0.03
 
 
-class RemoteSource(FrameSource):
+class RemoteSource:
     """Frames of a server's forest, of splats alone, from the newest cut; the network is never waited for."""
-
-    has_scene = False
 
     def __init__(self, remote: Remote):
         self._remote, self._splats = remote, SplatRenderer(remote.forest)
-        self._last = None
+        self._last: ShownFrame | None = None
         self._cut: Cut | None = None
         self._hold(None)
 
     @property
     def camera(self) -> Camera:
-        """The scene's own camera."""
         return self._remote.welcome.camera
 
     @property
     def layers(self) -> int:
-        """Number of layers of the forest."""
         return len(self._remote.forest.counts)
 
     def ready(self) -> Ready:
-        """What the window needs to know."""
         welcome = self._remote.welcome
         return Ready(welcome.scene, welcome.camera, welcome.distance, self.layers)
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
-        """The requested image, of the cut that is there; finished once that is the one for this view."""
+        # Of the cut that is there; finished once that is the one for this view.
         remote, last = self._remote, self._last
         # First: what changes from here on is seen at the next call.
         remote.changed.clear()
@@ -76,18 +70,16 @@ class RemoteSource(FrameSource):
         image = image_of(view, frame, None)
         return self._noted(ShownFrame(image, request, frame, 0, frame.milliseconds, 0, finished=False))
 
+    def warped(self, shown: ShownFrame, newest: Camera) -> ShownFrame:
+        return shown
+
     def renew(self, report: Progress) -> bool:
         return False
 
     def close(self) -> None:
         self._remote.close()
 
-    def forget(self) -> None:
-        """Renders the next frame as if it were the first one."""
-        self._last = None
-
     def save(self, png: Path) -> None:
-        """Writes what was shown last: the image as PNG and, beside it, its frame as EXR."""
         if self._last is not None:
             write_srgb(png, self._last.image)
             self._last.frame.save(png.with_suffix(".exr"))

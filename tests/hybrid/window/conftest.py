@@ -6,7 +6,7 @@ import pytest
 
 from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_renderer import LiveRenderer
-from hybrid.window.frame_source import FrameSource
+from hybrid.window.frame_source import SceneSource
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 
@@ -18,7 +18,7 @@ def renderer(backend, made) -> LiveRenderer:
 
 
 @pytest.fixture
-def source(renderer) -> FrameSource:
+def source(renderer) -> SceneSource:
     """Frames of the Cornell box, none of which has been shown."""
     renderer.forget()
-    return FrameSource(renderer)
+    return SceneSource(renderer)

@@ -47,7 +47,7 @@ def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: 
 class Source:
     """Grey frames at once; files without content."""
 
-    camera, layers, has_scene = CAMERA, 3, True
+    camera, layers = CAMERA, 3
 
     def __init__(self, finished: bool = True):
         self.finished = finished
@@ -63,6 +63,9 @@ class Source:
         self.requests.append(request)
         self.threads.add(threading.get_ident())
         return shown(request, finished=self.finished)
+
+    def warped(self, shown: ShownFrame, newest: Camera) -> ShownFrame:
+        return shown
 
     def renew(self, report: Progress) -> bool:
         learnt, self.learnt = self.learnt, False

@@ -358,7 +358,7 @@ def test_a_page_connects_again_by_itself(browser, served):
 
 
 def test_a_bench_is_measured_in_the_page(browser, tmp_path, monkeypatch, backend):
-    monkeypatch.setattr("hybrid.window.window_bench.WARM_UP", 0.3)
+    monkeypatch.setattr("hybrid.window.meter.WARM_UP", 0.3)
     with serving(tmp_path, bench=1.0) as served:
         browser.get(served.address)
         served.ends()

@@ -9,9 +9,8 @@ import pytest
 
 from compose.eye.acuity import ACUITY_MODELS
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.controls import Controls
+from hybrid.window.controls import Controls, Playback
 from hybrid.window.messages import ShownView
-from hybrid.window.navigation import Playback
 
 INITIAL = FrameSettings(fov_a=15.0, fov_b=11.0, spp=1)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
+from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys, Walker
 from hybrid.window.messages import ShownView
-from hybrid.window.navigation import Walker
 from tests.hybrid.window.fakes import CAMERA
 
 

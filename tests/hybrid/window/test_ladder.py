@@ -16,7 +16,7 @@ from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window import frame_loop as ladder
 from hybrid.window.frame_loop import candidates, ladder_for
-from hybrid.window.frame_source import FrameSource
+from hybrid.window.frame_source import SceneSource
 from hybrid.window.messages import Request
 
 BASE = FrameSettings(fov_a=20.0, fov_b=10.0, spp=4, acuity_model="fov-gs", layers=(2, 3))
@@ -98,7 +98,7 @@ def timed(source, monkeypatch, own_home) -> Timed:
     return made
 
 
-def like(source: FrameSource, width: int = 96, **settings: Any) -> Request:
+def like(source: SceneSource, width: int = 96, **settings: Any) -> Request:
     camera = source.camera.resized(width, 64)
     return Request(FrameSettings(gaze=Gaze(0.1, 0.9), fov_a=20.0, fov_b=15.0, camera=camera, **settings))
 

@@ -15,8 +15,8 @@ from hybrid.base.cache_folder import newest_forest, store_forest
 from hybrid.preparation.scene_plan import as_planned, as_stored, with_plan_of
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window import learning, scene_watch
-from hybrid.window.frame_source import FrameSource, prepared
+from hybrid.window import learning
+from hybrid.window.frame_source import SceneSource, prepared
 from hybrid.window.learning import Learner, ShownScene, Watched, forest_to_show
 from hybrid.window.messages import Request
 from pathtrace.scene.scene import bundled_scenes, load_scene
@@ -132,7 +132,7 @@ class FakeWatched(Watched):
 def own_source(made):
     forest = load_forest(made / "box.forest")
     watched = FakeWatched()
-    return FrameSource(
+    return SceneSource(
         LiveRenderer(as_planned(load_scene("cornell")), forest), watched, made / "box.forest"
     ), watched
 
@@ -145,7 +145,7 @@ def darkened(forest: Forest) -> Forest:
     return replace(forest, nodes=replace(forest.nodes, gaussians=dark))
 
 
-def asked(source: FrameSource) -> Request:
+def asked(source: SceneSource) -> Request:
     settings = FrameSettings(Gaze(0.4, 0.5), 20.0, 15.0, 1, camera=source.camera.resized(96, 64))
     return Request(replace(settings, fovea="raw"))
 
@@ -201,7 +201,7 @@ def test_a_scene_that_moves_is_not_planned_as_one_that_stands_still(tmp_path):
 def test_a_scene_that_cannot_be_read_stays_as_it_was(tmp_path, monkeypatch, got):
     file = tmp_path / "scene.xml"
     file.write_text(bundled_scenes()["cornell"].read_text())
-    monkeypatch.setattr(scene_watch, "_EVERY", 0.0)
+    monkeypatch.setattr(learning, "_LOOK_EVERY", 0.0)
     said = Said()
     watched = Watched(ShownScene(str(file)), False, said)
     assert watched.changed() is None

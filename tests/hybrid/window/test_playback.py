@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.window.navigation import Playback
+from hybrid.window.controls import Playback
 
 
 def test_time_passes_while_it_plays_and_begins_anew():

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from hybrid.window import scene_watch
-from hybrid.window.scene_watch import SceneWatch
+from hybrid.window import learning
+from hybrid.window.learning import SceneWatch
 from tests.extremes import extreme
 
 SCENE = '<scene version="3.0.0"><string name="filename" value="{}"/></scene>'
@@ -16,7 +16,7 @@ SCENE = '<scene version="3.0.0"><string name="filename" value="{}"/></scene>'
 @pytest.fixture
 def watched(tmp_path, monkeypatch):
     """A scene's file, and what looks at it each time it is asked."""
-    monkeypatch.setattr(scene_watch, "_EVERY", 0.0)
+    monkeypatch.setattr(learning, "_LOOK_EVERY", 0.0)
     (tmp_path / "a.obj").write_text("a")
     (tmp_path / "b.obj").write_text("b")
     file = tmp_path / "scene.xml"
@@ -70,6 +70,6 @@ def test_a_file_that_cannot_be_read_is_waited_for(watched, got):
 
 def test_it_does_not_look_all_the_time(watched, monkeypatch):
     file, watch = watched
-    monkeypatch.setattr(scene_watch, "_EVERY", 1000.0)
+    monkeypatch.setattr(learning, "_LOOK_EVERY", 1000.0)
     file.with_name("a.obj").write_text("changed")
     assert not any(looks(watch))

@@ -14,14 +14,14 @@ from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import read_exr
 from hybrid.window import frame_source as source_module
-from hybrid.window.frame_source import FrameSource
+from hybrid.window.frame_source import SceneSource
 from hybrid.window.messages import Request, ShownView
 from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions
 from tests.compose.arrays_of import numbers
 
 
-def request(source: FrameSource, view: ShownView = ShownView.COMPOSITE, **settings: Any) -> Request:
+def request(source: SceneSource, view: ShownView = ShownView.COMPOSITE, **settings: Any) -> Request:
     camera = source.camera.resized(96, 64)
     base = FrameSettings(gaze=Gaze(0.4, 0.5), fov_a=20.0, fov_b=15.0, spp=1, camera=camera)
     return Request(replace(base, **settings), view)
@@ -163,7 +163,7 @@ def test_every_view_has_the_size_of_the_frame(source, view):
         assert shown.image.dtype == np.uint8
 
 
-def kernels(source: FrameSource, requests: list[Request], quick: bool = True) -> set[str]:
+def kernels(source: SceneSource, requests: list[Request], quick: bool = True) -> set[str]:
     """Hashes of the kernels that frames were made with."""
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()

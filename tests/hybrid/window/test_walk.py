@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import camera_from_pose, look_at
-from hybrid.window.navigation import Walker
+from hybrid.window.key_bindings import Walker
 
 HOME = camera_from_pose(
     look_at(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.5, 0.0]), np.array([0.0, 1.0, 0.0])),

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import pytest
 
-from hybrid.window import window_bench as module
-from hybrid.window.window_bench import WindowBench
+from hybrid.window import meter as module
+from hybrid.window.meter import WindowBench
 
 
 class Process:

@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QApplication, QDockWidget, QScrollArea
 
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.controls import Controls
-from hybrid.window.panel import Panel, controls_dock
+from hybrid.window.main_window import Panel, controls_dock
 
 
 def test_the_dock_is_as_wide_as_its_panel_and_may_be_lower(application):

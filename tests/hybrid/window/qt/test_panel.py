@@ -10,9 +10,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QCheckBox, QComboBox, QLabel, QSlider, QWidget
 
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.controls import Controls
-from hybrid.window.navigation import Playback
-from hybrid.window.panel import Panel
+from hybrid.window.controls import Controls, Playback
+from hybrid.window.main_window import Panel
 
 _KINDS = {"slider": QSlider, "list": QComboBox, "switch": QCheckBox}
 

@@ -53,7 +53,7 @@ def source(monkeypatch, backend) -> Source:
         return source
 
     monkeypatch.setattr(viewer, "prepared", prepared)
-    monkeypatch.setattr("hybrid.window.window_bench.WARM_UP", 0.3)
+    monkeypatch.setattr("hybrid.window.meter.WARM_UP", 0.3)
     return source
 
 

@@ -17,8 +17,7 @@ from compose.camera.camera import Camera
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.messages import Server
 from hybrid.window.remote.client import Remote
-from hybrid.window.remote.server import Limits, Listening, ViewServer
-from hybrid.window.remote.view_cuts import ViewCuts
+from hybrid.window.remote.server import Limits, Listening, ViewCuts, ViewServer
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.model.trees import build_forest

@@ -24,7 +24,6 @@ from hybrid.base.cache_folder import home
 from hybrid.window.messages import Server
 from hybrid.window.remote import client as client_module
 from hybrid.window.remote.client import Remote
-from hybrid.window.remote.masks import encoded
 from hybrid.window.remote.protocol import (
     FOREST_PART,
     SUBPROTOCOL,
@@ -32,8 +31,8 @@ from hybrid.window.remote.protocol import (
     ViewMessage,
     Welcome,
 )
-from hybrid.window.remote.server import _file_of
-from hybrid.window.remote.view_cuts import with_hierarchy
+from hybrid.window.remote.protocol import encoded_mask as encoded
+from hybrid.window.remote.server import _file_of, with_hierarchy
 from tests.hybrid.window.remote.conftest import ACUITY, LONG, TOKEN, until
 
 DISPLAY = DISPLAYS["desktop"]

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid.window.remote.masks import decoded, encoded
+from hybrid.window.remote.protocol import decoded_mask as decoded
+from hybrid.window.remote.protocol import encoded_mask as encoded
 
 
 @st.composite

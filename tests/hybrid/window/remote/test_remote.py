@@ -15,8 +15,8 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
 from hybrid.window.messages import Request, Server, ShownView
 from hybrid.window.remote.protocol import ViewMessage
+from hybrid.window.remote.server import ViewCuts, with_hierarchy
 from hybrid.window.remote.source import RemoteSource, prepared_remote
-from hybrid.window.remote.view_cuts import ViewCuts, with_hierarchy
 from tests.hybrid.window.remote.conftest import ACUITY, TOKEN, drawn_leaves, settings, until
 
 DISPLAY = DISPLAYS["desktop"]
@@ -143,7 +143,6 @@ def test_views_that_need_paths_show_the_splats(serve, camera, tmp_path):
             assert shown.image.shape == (180, 320, 3)
         source.save(tmp_path / "shown.png")
         assert sorted(path.suffix for path in tmp_path.iterdir()) == [".exr", ".png"]
-        source.forget()
         source.close()
 
 
