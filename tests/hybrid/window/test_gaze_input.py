@@ -1,9 +1,14 @@
-"""The gaze from the mouse or a trace, with and without latency."""
+"""The gaze from the mouse or a trace, with and without latency, and its recording."""
 
 from __future__ import annotations
 
-from compose.eye.gaze import Gaze, GazeTrace
-from hybrid.window.gaze_input import GazeInput, TimedGaze
+from pathlib import Path
+
+import pytest
+
+from compose.base.errors import UserError
+from compose.eye.gaze import Gaze, GazeTrace, load_gaze_trace
+from hybrid.window.gaze_input import GazeInput, GazeRecording, TimedGaze, unused_file
 
 HERE, THERE, BEYOND = Gaze(0.1, 0.2), Gaze(0.7, 0.8), Gaze(0.3, 0.9)
 
@@ -75,3 +80,72 @@ def test_only_the_prompt_mouse_changes_with_its_movements_alone():
     assert not GazeInput(0.0, None).changes_by_itself
     assert GazeInput(0.01, None).changes_by_itself
     assert GazeInput(0.0, trace).changes_by_itself
+
+
+def test_the_lowest_free_number_is_taken(tmp_path):
+    assert unused_file(tmp_path, "room", ".png") == tmp_path / "room-001.png"
+    (tmp_path / "room-001.png").touch()
+    assert unused_file(tmp_path, "room", ".png") == tmp_path / "room-002.png"
+    for number in (2, 4):
+        (tmp_path / f"room-00{number}.png").touch()
+    assert unused_file(tmp_path, "room", ".png") == tmp_path / "room-003.png"
+    assert unused_file(tmp_path, "room", ".csv") == tmp_path / "room-001.csv"
+    assert unused_file(tmp_path, "box", ".png") == tmp_path / "box-001.png"
+
+
+def test_a_folder_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    def fails(self: Path) -> bool:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "exists", fails)
+    with pytest.raises(UserError, match=r"cannot be read \(Permission denied\)") as raised:
+        unused_file(tmp_path, "room", ".png")
+    assert str(raised.value).startswith(str(tmp_path))
+
+
+HERE, THERE = Gaze(0.1, 0.2), Gaze(0.7, 0.8)
+
+
+def test_the_file_holds_each_change_since_the_recording_began(tmp_path):
+    recording = GazeRecording(tmp_path)
+    recording.add(1.0, THERE)
+    assert recording.toggle("room") == "recording the gaze"
+    for now, gaze in ((3.0, HERE), (3.1, HERE), (3.5, THERE), (4.0, THERE), (4.5, HERE)):
+        recording.add(now, gaze)
+    assert recording.toggle("room") == str(tmp_path / "room-gaze-001.csv")
+    file = tmp_path / "room-gaze-001.csv"
+    assert load_gaze_trace(file) == GazeTrace((0.0, 0.5, 1.5), (HERE, THERE, HERE))
+    assert file.read_text().splitlines()[1].startswith("0.0000,")
+
+
+def test_each_recording_begins_anew_and_has_its_own_file(tmp_path):
+    recording = GazeRecording(tmp_path)
+    for number, gaze in enumerate((HERE, THERE)):
+        recording.toggle("room")
+        recording.add(10.0 * number, gaze)
+        recording.toggle("room")
+        recording.add(10.0 * number + 1, Gaze())
+    assert load_gaze_trace(tmp_path / "room-gaze-001.csv") == GazeTrace((0.0,), (HERE,))
+    assert load_gaze_trace(tmp_path / "room-gaze-002.csv") == GazeTrace((0.0,), (THERE,))
+
+
+def test_nothing_is_written_if_nothing_was_recorded(tmp_path):
+    recording = GazeRecording(tmp_path)
+    recording.toggle("room")
+    assert recording.toggle("room") == "no gaze was recorded"
+    assert not list(tmp_path.iterdir())
+    assert recording.toggle("room") == "recording the gaze"
+
+
+def test_a_recording_that_cannot_be_written_continues(tmp_path):
+    folder = tmp_path / "folder"
+    folder.write_text("in the way")
+    recording = GazeRecording(folder)
+    recording.toggle("room")
+    recording.add(1.0, HERE)
+    assert "cannot be" in recording.toggle("room")
+    recording.add(2.0, THERE)
+    folder.unlink()
+    recording.toggle("room")
+    written = load_gaze_trace(folder / "room-gaze-001.csv")
+    assert written.seconds == pytest.approx((0.0, 1.0))

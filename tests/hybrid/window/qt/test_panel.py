@@ -1,4 +1,4 @@
-"""The controls as widgets."""
+"""The controls as widgets, and the dock that shows them: in full width, scrolled where it is too low."""
 
 from __future__ import annotations
 
@@ -7,11 +7,20 @@ import pytest
 pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=ImportError)
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QCheckBox, QComboBox, QLabel, QSlider, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QDockWidget,
+    QLabel,
+    QScrollArea,
+    QSlider,
+    QWidget,
+)
 
-from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.window.controls import Controls, Playback
-from hybrid.window.main_window import Panel
+from hybrid.window.main_window import Panel, controls_dock
 
 _KINDS = {"slider": QSlider, "list": QComboBox, "switch": QCheckBox}
 
@@ -63,3 +72,29 @@ def test_values_are_shown_and_not_reported(panel):
 def test_no_control_takes_keys_from_the_frame(panel):
     policies = {control.focusPolicy() for control in panel.findChildren(QWidget)}
     assert policies == {Qt.FocusPolicy.NoFocus}
+
+
+def test_the_dock_is_as_wide_as_its_panel_and_may_be_lower(application):
+    panel = Panel(Controls(INTERACTIVE, None, 4))
+    wanted = panel.sizeHint()
+    dock = controls_dock(panel)
+    scrolled = dock.widget()
+    assert isinstance(scrolled, QScrollArea)
+    assert scrolled.widget() is panel
+    assert scrolled.minimumWidth() > wanted.width()
+    dock.resize(dock.minimumSizeHint())
+    dock.show()
+    assert dock.height() < wanted.height()
+    assert scrolled.verticalScrollBar().maximum() > 0
+    assert panel.width() >= wanted.width()
+    assert not scrolled.horizontalScrollBar().isVisible()
+    dock.resize(dock.width(), 2 * wanted.height())
+    QApplication.processEvents()
+    # With more room than it needs, the panel fills it.
+    assert panel.height() > 1.5 * wanted.height()
+    dock.hide()
+
+
+def test_the_dock_can_be_neither_moved_nor_closed(application):
+    dock = controls_dock(Panel(Controls(INTERACTIVE, None, 4)))
+    assert dock.features() == QDockWidget.DockWidgetFeature.NoDockWidgetFeatures
