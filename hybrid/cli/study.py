@@ -196,8 +196,8 @@ def _trace(file: Path | None, stimulus: str, frame: FrameSettings, size: tuple[i
 
 def _observers(preset: Preset, effect: float | None, power: float, trials: int) -> int:
     """As many observers as a difference needs, with so many trials of a pair each; else the preset's."""
+    from hybrid.study.comparisons import observers_for_difference, observers_for_preference
     from hybrid.study.design import StudyMethod
-    from hybrid.study.power import observers_for_difference, observers_for_preference
     from hybrid.study.scaling import preference
 
     if effect is None:
@@ -259,7 +259,7 @@ def run(
     number = observer or next_observer(folder)
     if simulate is not None:
         from compose.eye.display import display_named
-        from hybrid.study.simulation import SimulatedObserver, clip_qualities
+        from hybrid.study.simulated_observers import SimulatedObserver, clip_qualities
 
         with progress_bar("qualities of clips") as bar:
             jods = clip_qualities(folder, loaded, display_named(display), bar)
@@ -275,7 +275,7 @@ def run(
         require_window()
     stream = None
     if loaded.gaze == "stream":
-        from hybrid.study.gaze_stream import LabStream
+        from hybrid.study.session import LabStream
 
         stream = LabStream()
     session = StudySession(folder, loaded, number, stream)
@@ -342,11 +342,10 @@ def analyse(
     from hybrid.study.analysis import analyse as analysed
     from hybrid.study.analysis_page import write_page
     from hybrid.study.design import REFERENCE
-    from hybrid.study.observations import Ratings, save
-    from hybrid.study.results import answers
+    from hybrid.study.observations import Ratings, answers, conditions_of, save
 
     found, dropped = answers(source, _columns(column), scale, keep_all)
-    anchor = reference or (REFERENCE if REFERENCE in found.conditions else None)
+    anchor = reference or (REFERENCE if REFERENCE in conditions_of(found) else None)
     # Of choices, those whom others contradict are named and kept: leaving them out has no standard.
     screens = isinstance(found, Ratings) and not keep_all
     settings = AnalysisSettings(level, margin, anchor, 0.0 if anchor is None else 10.0, screen=screens)

@@ -69,106 +69,71 @@ def tables_of(found: Row) -> list[Row]:
     Those that are not `main` are of single groups or scenes, and stand folded up in the page.
     """
     if found["kind"] == "choices":
-        return [t | {"main": not n} for n, scale in enumerate(found["scales"]) for t in _of_scale(scale)]
-    scores = found["scores"]
-    tables = [_scores("Mean opinion scores", [row for row in scores if not row["scene"]]) | {"main": True}]
-    if found["comparison"]:
-        tables.append(_rated_pairs(found["comparison"]) | {"main": True})
+        tables = []
+        for number, scale in enumerate(found["scales"]):
+            of = f" of {scale['group']}" if scale["group"] else ""
+            tables.append(_table(f"Quality{of}, JOD", scale["qualities"], _QUALITIES, not number))
+            title = f"Pairs{of}; {scale['observers']} observers"
+            tables.append(_table(title, scale["pairs"], _CHOSEN_PAIRS, not number))
+        return tables
+    scores, comparison = found["scores"], found["comparison"]
+    tables = [_table("Mean opinion scores", [row for row in scores if not row["scene"]], _SCORES)]
+    if comparison:
+        title, whole = f"Pairs; {len(comparison['observers'])} observers", comparison["omnibus"]
+        if whole:
+            corrected = f", epsilon {whole['epsilon']:.2f}" if "epsilon" in whole else ""
+            title += f"; {whole['test']}: {whole['statistic']:.2f}, {p_text(whole['p'])}{corrected}"
+        tables.append(_table(title, comparison["pairs"], _RATED_PAIRS))
     of_scenes = [row for row in scores if row["scene"]]
     if of_scenes:
-        tables.append(_scores("Mean opinion scores of scenes", of_scenes) | {"main": False})
+        tables.append(_table("Mean opinion scores of scenes", of_scenes, _SCORES, main=False))
     return tables
 
 
-def _of_scale(scale: Row) -> list[Row]:
-    of = f" of {scale['group']}" if scale["group"] else ""
-    qualities = [
-        [row["condition"], *(_number(row[name]) for name in ("jod", "low", "high"))]
-        for row in scale["qualities"]
-    ]
-    pairs = [
-        [
-            row["first"],
-            row["second"],
-            *(_number(row[name]) for name in ("difference", "low", "high")),
-            p_text(row["p_holm"]),
-            "-" if row["share"] is None else f"{100 * row['share']:.0f} %",
-            str(row["trials"]),
-            "-" if row["binomial_p_holm"] is None else p_text(row["binomial_p_holm"]),
-            _verdict(row),
-        ]
-        for row in scale["pairs"]
-    ]
-    columns = ["better", "worse", "JOD", "low", "high", "p", "chosen", "trials", "binomial p", "verdict"]
-    return [
-        {"title": f"Quality{of}, JOD", "columns": ["condition", "JOD", "low", "high"], "rows": qualities},
-        {"title": f"Pairs{of}; {scale['observers']} observers", "columns": columns, "rows": pairs},
-    ]
+# What rows hold, by the titles of columns.
+_RANGE = {"low": "low", "high": "high"}
+_QUALITIES = {"condition": "condition", "JOD": "jod", **_RANGE}
+_PAIR = {"better": "first", "worse": "second"}
+_CHOSEN_PAIRS = {**_PAIR, "JOD": "difference", **_RANGE, "p": "p_holm", "chosen": "share", "trials": "trials"}
+_CHOSEN_PAIRS |= {"binomial p": "binomial_p_holm", "verdict": "verdict"}
+_RATED_PAIRS = {**_PAIR, "difference": "difference", **_RANGE, "test": "test", "p": "p_holm"}
+_RATED_PAIRS |= {name: name for name in ("d", "d_z", "effect", "power", "detectable", "verdict")}
+_SCORES = {name: name for name in ("condition", "scene", "observers", "votes")} | {"MOS": "mean"} | _RANGE
+_SCORES |= {"low (votes)": "votes_low", "high (votes)": "votes_high"}
+_OBSERVERS = {
+    "choices": {name: name for name in ("observer", "answers", "agreement")},
+    "ratings": {"observer": "observer", "votes": "votes", "far above": "above", "far below": "below"}
+    | {"mean": "mean", "sd": "sd"},
+}
 
 
-def _scores(title: str, scores: list[Row]) -> Row:
-    columns = [
-        "condition",
-        "scene",
-        "observers",
-        "votes",
-        "MOS",
-        "low",
-        "high",
-        "low (votes)",
-        "high (votes)",
-    ]
-    rows = [
-        [
-            row["condition"] or "all",
-            row["scene"] or "all",
-            str(row["observers"]),
-            str(row["votes"]),
-            *(_number(row[name]) for name in ("mean", "low", "high", "votes_low", "votes_high")),
-        ]
-        for row in scores
-    ]
-    return {"title": title, "columns": columns, "rows": rows}
+def _table(title: str, rows: list[Row], columns: dict[str, str], main: bool = True) -> Row:
+    texts = [[_text(row, name) for name in columns.values()] for row in rows]
+    return {"title": title, "columns": list(columns), "rows": texts, "main": main}
 
 
-def _rated_pairs(comparison: Row) -> Row:
-    columns = ["better", "worse", "difference", "low", "high", "test", "p", "d", "d_z", "effect", "power"]
-    rows = [
-        [
-            row["first"],
-            row["second"],
-            *(_number(row[name]) for name in ("difference", "low", "high")),
-            row["test"],
-            p_text(row["p_holm"]),
-            _number(row["d"]),
-            _number(row["d_z"]),
-            row["effect"],
-            _number(row["power"]),
-            _number(row["detectable"]),
-            _verdict(row),
-        ]
-        for row in comparison["pairs"]
-    ]
-    title, whole = f"Pairs; {len(comparison['observers'])} observers", comparison["omnibus"]
-    if whole:
-        corrected = f", epsilon {whole['epsilon']:.2f}" if "epsilon" in whole else ""
-        title += f"; {whole['test']}: {whole['statistic']:.2f}, {p_text(whole['p'])}{corrected}"
-    return {"title": title, "columns": [*columns, "detectable", "verdict"], "rows": rows}
+def _text(row: Row, name: str) -> str:
+    """A cell of a table."""
+    if name == "verdict":
+        return " and ".join(one for one in ("different", "equivalent") if row[one]) or "open"
+    value = row[name]
+    if value is None:
+        return "-"
+    if name.endswith("p_holm"):
+        return p_text(value)
+    if name == "share":
+        return f"{100 * value:.0f} %"
+    return f"{value:.2f}" if isinstance(value, float) else str(value) or "all"
 
 
 def screening_table(found: Row) -> Row:
     """What screening looked at, of each observer."""
-    if found["kind"] == "choices":
-        columns, names, counts = ["observer", "answers", "agreement"], ["agreement"], ["answers"]
-    else:
-        columns, names = ["observer", "votes", "far above", "far below", "mean", "sd"], ["mean", "sd"]
-        counts = ["votes", "above", "below"]
-    rows = []
-    for row in found["screening"]:
+    table = _table("", found["screening"], _OBSERVERS[found["kind"]])
+    for row, cells in zip(found["screening"], table["rows"], strict=True):
         kept = "kept all the same" if row["observer"] not in found["dropped"] else "left out"
-        cells = [row["observer"], *(str(row[n]) for n in counts), *(_number(row[n]) for n in names)]
-        rows.append([*cells, kept if row["dropped"] else ""])
-    return {"columns": [*columns, ""], "rows": rows}
+        cells.append(kept if row["dropped"] else "")
+    table["columns"].append("")
+    return table
 
 
 def latex_table(table: Row) -> str:
@@ -276,15 +241,6 @@ def _votes(found: Row) -> str:
     return svg_of(axes)
 
 
-def _verdict(row: Row) -> str:
-    verdicts = {"different": row["different"], "equivalent": row["equivalent"]}
-    return " and ".join(name for name, holds in verdicts.items() if holds) or "open"
-
-
 def _short(name: str) -> str:
     # Dollar signs would begin formulas.
     return (name if len(name) <= 30 else f"{name[:29]}…").replace("$", r"\$")
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"

@@ -55,7 +55,7 @@ class _Server(ThreadingHTTPServer):
         """Ends `serve_forever`, from a thread of a request."""
         threading.Thread(target=self.shutdown, daemon=True).start()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: object, client_address: object) -> None:
         error = sys.exc_info()[1]
         # A page that was closed or reloaded is no failure.
         if not isinstance(error, ConnectionError | TimeoutError):
@@ -149,5 +149,5 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         pass

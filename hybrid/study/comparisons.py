@@ -1,7 +1,8 @@
-"""Which conditions differ, and which are equivalent, by votes of the same observers on all of them."""
+"""Which conditions differ and which are equivalent, by votes of the same observers, and how many it takes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -26,6 +27,7 @@ _EFFECTS = (
 # Fewer give no test of normality.
 _LEAST_OBSERVERS = 3
 _NAMED_POWER = 0.8
+_MOST_OBSERVERS = 1 << 14
 
 Floats = NDArray[np.float64]
 
@@ -181,7 +183,7 @@ def _pair(means: Means, pair: tuple[int, int], normal: bool, level: float, margi
     difference = x - y
     mean, sd, count = float(difference.mean()), float(difference.std(ddof=1)), len(difference)
     half = float(stats.t.ppf(0.5 + level / 2, count - 1)) * sd / np.sqrt(count)
-    found = stats.ttest_rel(x, y) if normal else _wilcoxon(difference, "two-sided")
+    statistic, p = map(float, stats.ttest_rel(x, y)) if normal else _wilcoxon(difference, "two-sided")
     pooled = float(np.sqrt((x.var(ddof=1) + y.var(ddof=1)) / 2))
     d = mean / pooled if pooled else None
     d_z = mean / sd if sd else None
@@ -193,8 +195,8 @@ def _pair(means: Means, pair: tuple[int, int], normal: bool, level: float, margi
         "low": mean - half,
         "high": mean + half,
         "test": "paired t" if normal else "Wilcoxon signed-rank",
-        "statistic": float(found.statistic),
-        "p": _one_if_undefined(found.pvalue),
+        "statistic": statistic,
+        "p": p,
         "d_z": d_z,
         "d": d,
         "effect": effect_name(d),
@@ -216,15 +218,15 @@ def _equivalence(x: Floats, y: Floats, normal: bool, margin: float) -> float:
         tests = required("statsmodels.stats.weightstats", "the test of equivalence")
         return float(tests.ttost_paired(x, y, -margin, margin)[0])
     difference = x - y
-    above = _wilcoxon(difference + margin, "greater").pvalue
-    below = _wilcoxon(difference - margin, "less").pvalue
-    return max(_one_if_undefined(above), _one_if_undefined(below))
+    return max(_wilcoxon(difference + margin, "greater")[1], _wilcoxon(difference - margin, "less")[1])
 
 
-def _wilcoxon(difference: Floats, alternative: str) -> Any:
+def _wilcoxon(difference: Floats, alternative: str) -> tuple[float, float]:
+    """Statistic and p-value."""
     # Means of whole votes that are equal in truth may differ in their last digits.
     with np.errstate(invalid="ignore"):
-        return stats.wilcoxon(np.round(difference, 9), alternative=alternative)
+        found = stats.wilcoxon(np.round(difference, 9), alternative=alternative)
+    return float(found.statistic), _one_if_undefined(found.pvalue)
 
 
 def _power(d_z: float | None, sd: float, count: int, alpha: float) -> tuple[float | None, float | None]:
@@ -239,3 +241,53 @@ def _power(d_z: float | None, sd: float, count: int, alpha: float) -> tuple[floa
 def _one_if_undefined(p: float) -> float:
     """A p-value; 1 where all values are alike, so that tests have none."""
     return 1.0 if np.isnan(p) else float(p)
+
+
+def observers_for_difference(d_z: float, alpha: float = 0.05, power: float = 0.8) -> int:
+    """Observers for a paired t-test, of two sides, to find a difference of mean votes.
+
+    `d_z` is Cohen's d of paired differences: their mean over their standard deviation over observers.
+    UserError for a value out of range, or one that needs more than 8,192 observers.
+    """
+    for name, value in (("alpha", alpha), ("power", power)):
+        if not 0 < value < 1:
+            raise UserError(f"{name} {value:g}: must be between 0 and 1")
+    if not (math.isfinite(d_z) and d_z):
+        raise UserError(f"effect {d_z:g}: must be a number other than 0")
+    test = required("statsmodels.stats.power", "power").TTestPower()
+    # Two observers are the fewest that have a spread. Powers of far too many observers overflow.
+    many = 2
+    while test.power(abs(d_z), many, alpha) < power:
+        many *= 2
+        if many > _MOST_OBSERVERS:
+            raise UserError(
+                f"effect {d_z:g}: is too small; needs more than {_MOST_OBSERVERS // 2:,} observers"
+            )
+    return next(n for n in range(max(many // 2, 2), many + 1) if test.power(abs(d_z), n, alpha) >= power)
+
+
+def observers_for_preference(
+    probability: float, trials: int, alpha: float = 0.05, power: float = 0.8, spread: float = 0.0
+) -> int:
+    """Observers to find that one of two conditions is preferred, each judging the pair in so many trials.
+
+    Observers are the units, as in the analysis: the t-test is of the shares of trials in which each prefers
+    the condition. Their variance is probability * (1 - probability) / trials of chance, and of people.
+
+    Args:
+        probability: that a trial ends with the condition preferred, as .75 at 1 JOD.
+        trials: of each observer.
+        alpha: of the test.
+        power: probability to find the preference.
+        spread: standard deviation of the probabilities of single observers.
+
+    UserError for a value out of range, or one that needs more than 8,192 observers.
+    """
+    if not 0 < probability < 1 or probability == 0.5:
+        raise UserError(f"probability {probability:g}: must be between 0 and 1, and not .5")
+    if trials < 1:
+        raise UserError(f"trials {trials}: must be at least 1")
+    if not 0 <= spread < 0.5:
+        raise UserError(f"spread {spread:g}: must be at least 0, below .5")
+    variance = probability * (1 - probability) / trials + spread**2
+    return observers_for_difference((probability - 0.5) / float(np.sqrt(variance)), alpha, power)

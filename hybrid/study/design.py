@@ -6,7 +6,7 @@ study), graded single stimuli after a benchmark (as in Fov-GS's), and two-altern
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from enum import Enum
 from functools import cache
@@ -68,16 +68,6 @@ class Clip:
     frames: int = 1
     fps: float = 30.0
     marker: tuple[tuple[float, float], ...] = ((0.5, 0.5),)
-
-    def as_phase(self, seconds: float, label: str = "") -> dict[str, Any]:
-        """A phase of a trial that shows the clip."""
-        shown = {"clip": self.name, "frames": self.frames, "fps": self.fps}
-        return _phase("clip", seconds, label=label, marker=[list(at) for at in self.marker], **shown)
-
-
-def _phase(kind: str, seconds: float, **other: Any) -> dict[str, Any]:
-    plain = {"clip": None, "frames": 0, "fps": 1.0, "label": "", "marker": None}
-    return {"kind": kind, "seconds": seconds, **plain, **other}
 
 
 @dataclass(frozen=True)
@@ -259,12 +249,16 @@ class Design:
             clips, labels = [self.clip(trial.benchmark), *clips], ("Benchmark", *labels)
         shown: list[dict[str, Any]] = []
         for clip, label in zip(clips, labels, strict=True):
+            marker = [list(at) for at in clip.marker]
+            plain = {"clip": None, "frames": 0, "fps": 1.0, "label": "", "marker": None}
             if shown:
-                shown.append(_phase("blank", timing.gap))
+                shown.append(plain | {"kind": "blank", "seconds": timing.gap})
             elif timing.fixation > 0:
-                shown.append(_phase("fixation", timing.fixation, marker=[list(at) for at in clip.marker[:1]]))
+                shown.append(plain | {"kind": "fixation", "seconds": timing.fixation, "marker": marker[:1]})
             # A video is shown whole.
-            shown.append(clip.as_phase(max(timing.stimulus, clip.frames / clip.fps), label))
+            seconds = max(timing.stimulus, clip.frames / clip.fps)
+            own = {"clip": clip.name, "frames": clip.frames, "fps": clip.fps, "label": label}
+            shown.append({"kind": "clip", "seconds": seconds, "marker": marker, **own})
         return shown
 
     def minutes(self, observer: int) -> float:
@@ -373,7 +367,7 @@ def _design(found: dict[str, Any]) -> Design:
 
 
 @cache
-def _schema() -> Any:
+def _schema() -> Callable[[object], object]:
     """The check of a design's JSON; names cannot lead out of the study's folder."""
     name = {"type": "string", "pattern": r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,199}$"}
     text = {"type": "string", "maxLength": _MOST_TEXT}
@@ -384,7 +378,7 @@ def _schema() -> Any:
     def items(of: dict[str, Any], least: int = 0, most: int = _MOST_COUNT) -> dict[str, Any]:
         return {"type": "array", "items": of, "minItems": least, "maxItems": most}
 
-    def entry(required: dict[str, Any], **optional: Any) -> dict[str, Any]:
+    def entry(required: dict[str, Any], **optional: object) -> dict[str, Any]:
         known = {"type": "object", "properties": required | optional, "additionalProperties": False}
         return known | {"required": list(required)}
 
@@ -428,4 +422,5 @@ def _schema() -> Any:
         fields=items(asked, 0, 50),
         seed={"type": "integer", "minimum": 0},
     )
-    return fastjsonschema.compile(wanted)
+    check: Callable[[object], object] = fastjsonschema.compile(wanted)
+    return check

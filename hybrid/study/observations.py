@@ -5,16 +5,19 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from types import ModuleType
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import require_size_below, write_whole
+from hybrid.study.design import FILE, StudyMethod, load_design
+from hybrid.study.session import RESULTS
 
 RATING_COLUMNS: tuple[str, ...] = ("observer", "scene", "condition", "vote")
 CHOICE_COLUMNS: tuple[str, ...] = ("observer", "scene", "first", "second", "chosen")
@@ -22,6 +25,10 @@ CHOICE_COLUMNS: tuple[str, ...] = ("observer", "scene", "first", "second", "chos
 _OPTIONAL = ("scene",)
 # Rows of any other kind, such as training, are not votes.
 _KIND, _VOTE = "kind", "vote"
+# What tells choices from votes in the first row of a file, unless columns are named.
+_CHOSEN = "chosen"
+# Share of the trials that check attention which an observer must answer as an attentive one would.
+_LEAST_RIGHT = 0.5
 # Far more than any study has.
 _MOST_BYTES = 1 << 26
 _LONGEST_NAME = 200
@@ -39,11 +46,6 @@ class Ratings:
     vote: NDArray[np.float64]
     left_out: int = 0
 
-    @property
-    def conditions(self) -> set[str]:
-        """All that were voted on."""
-        return set(self.condition.tolist())
-
 
 @dataclass(frozen=True)
 class Choices:
@@ -56,22 +58,10 @@ class Choices:
     chosen_first: NDArray[np.bool_]
     left_out: int = 0
 
-    @property
-    def conditions(self) -> set[str]:
-        """All that were chosen from."""
-        return {*self.first.tolist(), *self.second.tolist()}
-
 
 _Observations = TypeVar("_Observations", bound=Ratings | Choices)
-
-
-@dataclass
-class _Table:
-    """Cells of the wanted columns, by their canonical names, and what was left out."""
-
-    cells: dict[str, list[str]]
-    places: list[str] = field(default_factory=list)
-    left_out: int = 0
+# Where a row stands, for people, and its cells in the wanted columns.
+_Row: TypeAlias = tuple[str, dict[str, str]]
 
 
 def load_ratings(
@@ -86,10 +76,10 @@ def load_ratings(
     UserError, of one line, for a file that cannot be read, lacks a column, or holds a name that is empty, not
     printable or longer than 200 characters, a vote outside the `scale`, or no votes at all.
     """
-    table = _load(path, RATING_COLUMNS, "vote", columns)
-    votes = [_vote(*cell, scale) for cell in zip(table.cells["vote"], table.places, strict=True)]
-    names = {name: np.array(table.cells[name], str) for name in RATING_COLUMNS[:-1]}
-    return Ratings(**names, vote=np.array(votes), left_out=table.left_out)
+    rows, left_out = _load(path, RATING_COLUMNS, columns)
+    votes = [_vote(cells["vote"], place, scale) for place, cells in rows]
+    observer, scene, condition = _names(rows, RATING_COLUMNS[:-1])
+    return Ratings(observer, scene, condition, np.array(votes), left_out)
 
 
 def load_choices(path: Path, columns: Mapping[str, str] | None = None) -> Choices:
@@ -99,22 +89,67 @@ def load_choices(path: Path, columns: Mapping[str, str] | None = None) -> Choice
     `columns`, what is left out, and errors are as for `load_ratings`; a condition cannot be compared with
     itself.
     """
-    table = _load(path, CHOICE_COLUMNS, "chosen", columns)
-    rows = zip(*(table.cells[name] for name in ("first", "second", "chosen")), table.places, strict=True)
-    chosen_first = np.array([_is_first(*row) for row in rows])
-    observer, group, first, second = (np.array(table.cells[name], str) for name in CHOICE_COLUMNS[:-1])
-    return Choices(observer, group, first, second, chosen_first, table.left_out)
+    rows, left_out = _load(path, CHOICE_COLUMNS, columns)
+    chosen = [_is_first(cells["first"], cells["second"], cells["chosen"], place) for place, cells in rows]
+    observer, group, first, second = _names(rows, CHOICE_COLUMNS[:-1])
+    return Choices(observer, group, first, second, np.array(chosen), left_out)
 
 
 def save(path: Path, observations: Ratings | Choices) -> None:
     """Writes a CSV file that `load_ratings` or `load_choices` reads; it appears whole or not at all."""
+    *names, answers, _ = vars(observations).values()
     if isinstance(observations, Ratings):
-        head, answers = RATING_COLUMNS, np.array([f"{vote:.17g}" for vote in observations.vote])
-        names = [observations.observer, observations.scene, observations.condition]
+        head, texts = RATING_COLUMNS, [f"{vote:.17g}" for vote in answers]
     else:
-        head, answers = CHOICE_COLUMNS, np.where(observations.chosen_first, "1", "2")
-        names = [observations.observer, observations.group, observations.first, observations.second]
-    write_table(path, [head, *zip(*names, answers, strict=True)])
+        head, texts = CHOICE_COLUMNS, ["1" if first else "2" for first in answers]
+    write_table(path, [head, *zip(*names, texts, strict=True)])
+
+
+def answers(
+    source: Path, columns: Mapping[str, str], scale: tuple[float, float], keep_all: bool
+) -> tuple[Ratings | Choices, list[str]]:
+    """Votes or choices of a study's folder or of a CSV file, and the observers who failed to attend.
+
+    These are left out, unless all are kept. For `columns` and errors see `load_ratings` and `load_choices`.
+    """
+    if not (source / FILE).is_file():
+        if source.is_dir():
+            raise UserError(f"{source}: holds no study and is no CSV file")
+        if columns:
+            of_choices = not {"first", "second", _CHOSEN}.isdisjoint(columns)
+        else:
+            with reading(source), source.open(newline="", encoding="utf-8-sig") as opened:
+                of_choices = _CHOSEN in [name.strip() for name in next(csv.reader(opened), [])]
+        return load_choices(source, columns) if of_choices else load_ratings(source, columns, scale), []
+    design, folder = load_design(source), source / RESULTS
+    if columns:
+        raise UserError(f"{source}: is a study; columns are named for CSV files only")
+    if not any(folder.glob("*.csv")):
+        raise UserError(f"{source}: nobody has answered yet; use hybrid study run")
+    loaded = load_choices(folder) if design.method is StudyMethod.PAIRS else load_ratings(folder)
+    failed = [] if keep_all else _inattentive(folder)
+    kept = without(loaded, failed)
+    if not len(kept.observer):
+        raise UserError(f"{source}: every observer failed to attend")
+    return kept, failed
+
+
+def _inattentive(folder: Path) -> list[str]:
+    """Observers who gave too few of the answers that are known."""
+    right: dict[str, list[bool]] = {}
+    for file in sorted(folder.glob("*.csv")):
+        with reading(file), file.open(newline="", encoding="utf-8") as opened:
+            for row in csv.DictReader(opened):
+                if row.get("kind") == "attention":
+                    right.setdefault(row["observer"], []).append(row.get("correct") == "yes")
+    return [name for name, found in right.items() if np.mean(found) < _LEAST_RIGHT]
+
+
+def conditions_of(observations: Ratings | Choices) -> set[str]:
+    """All that were voted on, or chosen from."""
+    if isinstance(observations, Ratings):
+        return set(observations.condition.tolist())
+    return {*observations.first.tolist(), *observations.second.tolist()}
 
 
 def without(observations: _Observations, dropped: Sequence[str]) -> _Observations:
@@ -134,7 +169,7 @@ def write_table(path: Path, rows: Sequence[Sequence[object]]) -> None:
     write_whole(path, write)
 
 
-def required(module: str, what: str) -> Any:
+def required(module: str, what: str) -> ModuleType:
     """A module of the optional extra `study`; UserError if it is not installed."""
     try:
         return import_module(module)
@@ -145,34 +180,34 @@ def required(module: str, what: str) -> Any:
         ) from None
 
 
-def _load(path: Path, wanted: Sequence[str], answer: str, columns: Mapping[str, str] | None) -> _Table:
-    """Cells of all answered rows of a file or of a folder's files."""
-    unknown = sorted(set(columns or {}) - set(wanted))
+def _load(path: Path, wanted: Sequence[str], columns: Mapping[str, str] | None) -> tuple[list[_Row], int]:
+    """Answered rows of a file or of a folder's files, and the number of all others."""
+    columns = columns or {}
+    unknown = sorted(set(columns) - set(wanted))
     if unknown:
         raise UserError(f"column {unknown[0]!r}: is unknown; must be one of {', '.join(wanted)}")
-    table = _Table({name: [] for name in wanted})
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     if not files:
         raise UserError(f"{path}: holds no CSV files")
+    rows: list[_Row | None] = []
     for file in files:
         try:
             require_size_below(file, _MOST_BYTES)
             # Spreadsheets start texts with a byte order mark.
             with file.open(newline="", encoding="utf-8-sig") as opened:
-                _add_rows(table, file, csv.reader(opened), answer, columns or {})
+                rows += _rows_of(file, csv.reader(opened), {name: columns.get(name, name) for name in wanted})
         except (OSError, ValueError, csv.Error) as error:
             raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
-    if not table.places:
+    answered = [row for row in rows if row is not None]
+    if not answered:
         raise UserError(f"{path}: holds no answers")
-    return table
+    return answered, len(rows) - len(answered)
 
 
-def _add_rows(
-    table: _Table, file: Path, rows: Iterator[list[str]], answer: str, columns: Mapping[str, str]
-) -> None:
-    """Adds the rows of one file."""
+def _rows_of(file: Path, rows: Iterator[list[str]], sources: Mapping[str, str]) -> Iterator[_Row | None]:
+    """The rows of one file, None for one that is no answer; the last of the wanted columns has the answer."""
     head = [name.strip() for name in next(rows, [])]
-    sources = {name: _sources(file, head, name, columns.get(name, name)) for name in table.cells}
+    places = {name: _places(file, head, name, source) for name, source in sources.items()}
     kind = head.index(_KIND) if _KIND in head else None
     # An answer may span lines of the file.
     for number, row in enumerate(rows, 2):
@@ -181,17 +216,20 @@ def _add_rows(
         place = f"{file}: row {number}"
         if len(row) != len(head):
             raise UserError(f"{place} has {len(row)} cells; must have {len(head)}, as the first row")
-        found = {name: " / ".join(row[at].strip() for at in at_all) for name, at_all in sources.items()}
-        if not found[answer] or (kind is not None and row[kind].strip() != _VOTE):
-            table.left_out += 1
+        cells = {name: " / ".join(row[at].strip() for at in at_all) for name, at_all in places.items()}
+        if not [*cells.values()][-1] or (kind is not None and row[kind].strip() != _VOTE):
+            yield None
             continue
-        for name, cell in found.items():
-            _check_name(place, name, cell)
-            table.cells[name].append(cell)
-        table.places.append(place)
+        for name, cell in cells.items():
+            if not cell.strip(" /") and name not in _OPTIONAL:
+                raise UserError(f"{place}: {name} is empty")
+            if len(cell) > _LONGEST_NAME or not cell.isprintable():
+                said = f"{name} {one_line(cell)[:40]!r}"
+                raise UserError(f"{place}: {said} must be printable, of at most {_LONGEST_NAME} characters")
+        yield place, cells
 
 
-def _sources(file: Path, head: list[str], name: str, source: str) -> list[int]:
+def _places(file: Path, head: list[str], name: str, source: str) -> list[int]:
     """Indices of the columns that a name stands for; none for a scene that the file does not have."""
     parts = [source] if source in head else [part.strip() for part in source.split("+")]
     lacks = [part for part in parts if part not in head]
@@ -206,12 +244,8 @@ def _sources(file: Path, head: list[str], name: str, source: str) -> list[int]:
     return [head.index(part) for part in parts]
 
 
-def _check_name(place: str, name: str, cell: str) -> None:
-    if not cell.strip(" /") and name not in _OPTIONAL:
-        raise UserError(f"{place}: {name} is empty")
-    if len(cell) > _LONGEST_NAME or not cell.isprintable():
-        shown = one_line(cell)[:40]
-        raise UserError(f"{place}: {name} {shown!r} must be printable, of at most {_LONGEST_NAME} characters")
+def _names(rows: Sequence[_Row], columns: Sequence[str]) -> list[Names]:
+    return [np.array([cells[name] for _, cells in rows], str) for name in columns]
 
 
 def _vote(cell: str, place: str, scale: tuple[float, float]) -> float:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from compose.base.errors import UserError
-from hybrid.study.observations import Choices, Names
+from hybrid.study.observations import Choices
 
 Floats = NDArray[np.float64]
+# In JOD, one or an array of them.
+Quality = TypeVar("Quality", float, Floats)
 # JOD: the standard deviation of the difference of two qualities as they are seen, at which 1 JOD is 75 %.
 SIGMA = float(1 / ndtri(0.75))
 PRIORS = ("jeffreys", "none")
@@ -154,12 +156,7 @@ def count(choices: Choices, group: str) -> Counts:
     np.add.at(wins, (observer, pair), chosen)
     np.add.at(losses, (observer, pair), ~chosen)
     pairs = np.stack([keys // size, keys % size], 1)
-    _require_connected(group, conditions, pairs)
-    return Counts(tuple(conditions.tolist()), tuple(observers.tolist()), pairs, wins, losses)
-
-
-def _require_connected(group: str, conditions: Names, pairs: NDArray[np.int64]) -> None:
-    graph = np.zeros((len(conditions),) * 2)
+    graph = np.zeros((size, size))
     graph[pairs[:, 0], pairs[:, 1]] = 1
     parts, part = connected_components(graph, directed=False)
     if parts > 1:
@@ -168,6 +165,7 @@ def _require_connected(group: str, conditions: Names, pairs: NDArray[np.int64]) 
             f"{_named(group)}: no choice links {names[0]} with {names[1]}; conditions must be compared, "
             "directly or through others"
         )
+    return Counts(tuple(conditions.tolist()), tuple(observers.tolist()), pairs, wins, losses)
 
 
 def _named(group: str) -> str:
@@ -282,9 +280,10 @@ def pooled(scales: Sequence[Scale]) -> Scale | None:
     return Scale("", scales[0].conditions, tuple(observers), jod, without.mean(1), independent)
 
 
-def preference(jod: Any) -> Any:
-    """Probability that a condition which is so much better is preferred; of a number or an array."""
-    return ndtr(jod / SIGMA)
+def preference(jod: Quality) -> Quality:
+    """Probability that a condition which is so much better is preferred."""
+    found: Quality = ndtr(jod / SIGMA)
+    return found
 
 
 def agreement(choices: Choices, scales: Sequence[Scale]) -> dict[str, float]:

@@ -14,11 +14,13 @@ import json
 import math
 import os
 import secrets
+import time
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from threading import Event, Thread
+from typing import Any
 
 import numpy as np
 
@@ -38,14 +40,57 @@ _INTERVALS = 2.0
 # Share of the gaze that may be further from the cross than the design tolerates.
 _MOST_OFF = 0.25
 _MOST_BYTES, _MOST_TEXT = 1 << 26, 1_000
+# Seconds for which a gaze stream is looked for, and of it that are kept: those of the longest trial.
+_LOOKED_FOR, _KEPT = 5.0, 7200.0
 Step = dict[str, Any]
 
 
-class GazeStream(Protocol):
-    """Where an eye tracker reports the gaze."""
+class LabStream:
+    """A stream of type Gaze, whose first two channels are x and y in fractions of the frame.
+
+    UserError if pylsl is not installed, or there is no such stream.
+    """
+
+    def __init__(self, looked_for: float = _LOOKED_FOR):
+        """Looks for the stream, for so many seconds."""
+        try:
+            import pylsl
+        except (ImportError, RuntimeError) as error:
+            raise UserError(
+                "a gaze stream needs pylsl: pip install 'foveated-hybrid-renderer[study]'"
+            ) from error
+        found = pylsl.resolve_byprop("type", "Gaze", 1, looked_for)
+        if not found:
+            raise UserError("gaze stream: there is none of type Gaze; start the eye tracker's first")
+        if found[0].channel_count() < 2:
+            raise UserError("gaze stream: needs two channels, x and y in fractions of the frame")
+        # Times on this machine's clock.
+        self._inlet = pylsl.StreamInlet(found[0], processing_flags=pylsl.proc_clocksync)
+        self._now = pylsl.local_clock
+        self._gazes: deque[tuple[float, float, float]] = deque()
+        self._ended = Event()
+        self._thread = Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        while not self._ended.is_set():
+            samples, times = self._inlet.pull_chunk(timeout=0.1)
+            self._gazes.extend((at, one[0], one[1]) for one, at in zip(samples, times, strict=True))
+            while self._gazes and self._gazes[0][0] < self._now() - _KEPT:
+                self._gazes.popleft()
+            if not samples:
+                time.sleep(0.005)
 
     def last(self, seconds: float) -> list[tuple[float, float, float]]:
         """Gazes of the last seconds: seconds ago, x and y in fractions of the frame."""
+        now = self._now()
+        return [(now - at, x, y) for at, x, y in list(self._gazes) if at >= now - seconds]
+
+    def close(self) -> None:
+        """Ends the stream."""
+        self._ended.set()
+        self._thread.join()
+        self._inlet.close_stream()
 
 
 @dataclass(frozen=True)
@@ -63,7 +108,7 @@ class StudySession:
     UserError if the file is damaged, belongs to another design, or is in use.
     """
 
-    def __init__(self, folder: Path, design: Design, observer: int, stream: GazeStream | None = None):
+    def __init__(self, folder: Path, design: Design, observer: int, stream: LabStream | None = None):
         self.folder, self._design, self._observer, self._stream = folder, design, observer, stream
         self.file = observer_file(folder, observer)
         self._queue = deque(_Turn(number, one) for number, one in enumerate(design.order(observer - 1), 1))
@@ -81,7 +126,7 @@ class StudySession:
         """Whether nothing is left to answer."""
         return self.step["kind"] == "end"
 
-    def answer(self, reply: Any) -> None:
+    def answer(self, reply: object) -> None:
         """Takes the reply to the current step; UserError, and no change, if it is not one."""
         if not isinstance(reply, dict) or reply.get("step") != self.step["id"]:
             raise UserError("reply: does not answer the current step")
@@ -96,10 +141,6 @@ class StudySession:
         except StopIteration as error:
             # After an answer that could not be stored.
             raise UserError(f"{self.file}: cannot be written any more; run the study again") from error
-
-    def missing(self, file: str) -> UserError:
-        """What to raise where a frame of a clip cannot be read."""
-        return UserError(f"{self.folder / file}: is missing or damaged; design the study again")
 
     def close(self) -> None:
         """Gives the observer's file back."""
@@ -167,9 +208,7 @@ class StudySession:
         again = bool(problem) and turn.attempt < _ATTEMPTS and trial.kind != "training"
         values: dict[str, Any] = self._identity(turn) | {
             "kind": "repeated" if again else trial.kind,
-            "chosen" if self._design.method is StudyMethod.PAIRS else "vote": ""
-            if answer is None
-            else answer,
+            "chosen" if self._design.method is StudyMethod.PAIRS else "vote": answer,
             "correct": _correct(trial, answer),
             "problem": problem,
             "reaction_ms": round(reply["reaction_ms"], 1),
@@ -178,7 +217,7 @@ class StudySession:
             "late": sum(one["late"] for one in phases),
             "phases": " ".join(f"{one['asked_ms']:.0f}:{one['shown_ms']:.1f}" for one in phases),
         }
-        self._append([values.get(name, "") for name in COLUMNS])
+        self._append([values.get(name) for name in COLUMNS])
         self._passed(again)
 
     def _identity(self, turn: _Turn) -> dict[str, Any]:
@@ -208,27 +247,23 @@ class StudySession:
         phases, most = reply["phases"], _INTERVALS * reply["interval_ms"]
         if reply["answer"] is None:
             return "no answer"
-        if any(one["dropped"] for one in phases):
-            return "dropped frames"
-        if any(one["late"] for one in phases):
-            return "late frames"
+        for name in ("dropped", "late"):
+            if any(one[name] for one in phases):
+                return f"{name} frames"
         if any(abs(one["shown_ms"] - one["asked_ms"]) > most for one in phases):
             return "late phase"
         if self._design.gaze == "none":
             return ""
-        return self._gaze_problem(trial, reply)
-
-    def _gaze_problem(self, trial: Trial, reply: dict[str, Any]) -> str:
         gaze = reply["gaze"]
         if self._stream is not None:
-            ago = (sum(one["shown_ms"] for one in reply["phases"]) + reply["reaction_ms"]) / 1000
+            ago = (sum(one["shown_ms"] for one in phases) + reply["reaction_ms"]) / 1000
             gaze = [((ago - since) * 1000, x, y) for since, x, y in self._stream.last(ago)]
             if not gaze:
                 return "no gaze"
-        off = _off_the_cross(self._design, self._design.phases(trial), reply["phases"], gaze)
+        off = _off_the_cross(self._design, self._design.phases(trial), phases, gaze)
         return "looked away" if off > _MOST_OFF else ""
 
-    def _append(self, values: Any) -> None:
+    def _append(self, values: Iterable[object]) -> None:
         """Adds a row, which is on the disk when this returns."""
         line = io.StringIO()
         csv.writer(line, lineterminator="\n").writerow(values)
@@ -370,7 +405,7 @@ def _checked_trial(step: Step, reply: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _finite(value: Any) -> float:
+def _finite(value: str | float) -> float:
     """A number of 0 or more."""
     number = float(value)
     if not 0 <= number < math.inf:

@@ -108,9 +108,10 @@ class Player(QWidget):
         """Decodes the next frame; when there is none left, the trial begins."""
         if self._wanted:
             name, frame = self._wanted.pop()
-            image = QImage(str(self._session.folder / "clips" / name / f"{frame:06}.png"))
+            file = self._session.folder / "clips" / name / f"{frame:06}.png"
+            image = QImage(str(file))
             if image.isNull():
-                self._fail(self._session.missing(f"clips/{name}/{frame:06}.png"))
+                self._fail(UserError(f"{file}: is missing or damaged; design the study again"))
                 return
             self._images[name, frame] = image.convertToFormat(QImage.Format.Format_RGB32)
             QTimer.singleShot(0, self._load)
@@ -224,15 +225,12 @@ class Player(QWidget):
             painter.drawText(above, Qt.AlignmentFlag.AlignCenter, phase["label"])
         if phase["marker"]:
             x, y = phase["marker"][min(self._frame, len(phase["marker"]) - 1)]
-            draw_cross(painter, QPointF(frame.x() + x * frame.width(), frame.y() + y * frame.height()))
-
-
-def draw_cross(painter: QPainter, at: QPointF) -> None:
-    """Draws a cross that is seen on bright and on dark."""
-    for colour, width in ((Qt.GlobalColor.black, 3 * _WIDTH), (Qt.GlobalColor.white, _WIDTH)):
-        painter.setPen(QPen(colour, width))
-        for arm in (QPointF(_ARM, 0), QPointF(0, _ARM)):
-            painter.drawLine(at - arm, at + arm)
+            at = QPointF(frame.x() + x * frame.width(), frame.y() + y * frame.height())
+            # A cross that is seen on bright and on dark.
+            for colour, width in ((Qt.GlobalColor.black, 3 * _WIDTH), (Qt.GlobalColor.white, _WIDTH)):
+                painter.setPen(QPen(colour, width))
+                for arm in (QPointF(_ARM, 0), QPointF(0, _ARM)):
+                    painter.drawLine(at - arm, at + arm)
 
 
 class StudyWindow(QWidget):
@@ -294,10 +292,9 @@ class StudyWindow(QWidget):
 
     def _trial(self, step: Step) -> QWidget:
         self.button = None
-        screen = self.screen()
         # Screens that do not exist report no rate.
-        rate = screen.refreshRate() if screen.refreshRate() > 0 else 60.0
-        return Player(self, self._session, 1 / rate)
+        rate = self.screen().refreshRate()
+        return Player(self, self._session, 1 / rate if rate > 0 else 1 / 60)
 
     def _page(self, title: str) -> tuple[QWidget, QVBoxLayout]:
         page = QWidget(self)
@@ -338,7 +335,12 @@ class StudyWindow(QWidget):
         holder = QWidget()
         holder.setLayout(form)
         layout.addWidget(holder, alignment=Qt.AlignmentFlag.AlignCenter)
-        self._ask = lambda: {"values": {name: _value(entry) for name, entry in inputs.items()}}
+        self._ask = lambda: {
+            "values": {
+                name: entry.currentText() if isinstance(entry, QComboBox) else entry.text()
+                for name, entry in inputs.items()
+            }
+        }
         self._add_button(layout, step)
         return page
 
@@ -358,10 +360,6 @@ class StudyWindow(QWidget):
             self.close()
         elif self.button is not None and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Space):
             self.button.click()
-
-
-def _value(entry: QLineEdit | QComboBox) -> str:
-    return entry.currentText() if isinstance(entry, QComboBox) else entry.text()
 
 
 def run_study_window(session: StudySession) -> None:

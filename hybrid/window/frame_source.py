@@ -106,7 +106,7 @@ class SceneSource:
             release_memory()
             self._released = time.monotonic()
         last = self._last if self._last and request.same_frame(self._last.request) else None
-        frame, paths = self._rendered(request, last and last.frame, quick)
+        frame, paths = self._rendered(request, last.frame if last else None, quick)
         # A frame that is only shown again has taken no time.
         passes = {} if last and frame is last.frame else dict(frame.milliseconds)
         before = passes.pop("total", 0.0)

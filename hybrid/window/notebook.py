@@ -6,13 +6,16 @@ import asyncio
 import atexit
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from compose.base.errors import UserError
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.window.learning import ShownScene
 from hybrid.window.page import PageSession, PageShell, asset
 from hybrid.window.viewer import WindowOptions, viewer_of
+
+if TYPE_CHECKING:
+    from anywidget import AnyWidget
 
 _WIDGET = """
 export default {
@@ -26,7 +29,7 @@ export default {
 };
 """
 # The windows that are open: one, if there is any.
-_open: list[Any] = []
+_open: list[AnyWidget] = []
 
 
 def show(
@@ -38,7 +41,7 @@ def show(
     target_fps: float | None = None,
     folder: str | Path = ".",
     backend: str = "auto",
-) -> Any:
+) -> AnyWidget:
     """The window of `hybrid demo` as a widget, which a notebook shows where it is the value of a cell.
 
     The mouse is the gaze; F1 lists the keys. There is one window at a time: another one closes it. The scene
@@ -101,7 +104,7 @@ class _Cell:
         self._session: PageSession | None = None
         self._sending: asyncio.Task[None] | None = None
 
-    def receive(self, widget: Any, message: dict[str, Any], buffers: object) -> None:
+    def receive(self, widget: AnyWidget, message: dict[str, Any], buffers: object) -> None:
         """Takes a message; a page that shows the widget, for the first time or again, says hello."""
         if message.get("type") != "hello":
             if self._session is not None:

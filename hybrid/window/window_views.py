@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -24,6 +24,9 @@ from hybrid.window.messages import ShownFrame, ShownView
 from pathtrace.trace.film import FilmPositions, frame_positions, interleaved, pixel_positions
 from pathtrace.trace.traced_images import TracedImage, auxiliary_images
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
 
 # Each step traces one pixel of every 4 x 4 block: the window stays responsive, and the image sharpens
 # everywhere at once. The order is that of a dither matrix (Bayer 1973).
@@ -121,13 +124,13 @@ def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None)
 
 def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
     """As compose.image.colour.bytes_from_radiance, in a kernel, which takes a tenth of the time."""
-    return _bytes_of(mi.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
+    return _bytes_of(device_arrays().plain.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
 
 
-def _bytes_of(flat: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+def _bytes_of(flat: Float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """sRGB bytes of linear radiance that is on the device: all that leaves it of a frame."""
     value = dr.fma(srgb_curve(dr.fmin(dr.fmax(flat, 0), 1)), 255, 0.5)
-    return np.asarray(dr.uint8_array_t(type(value))(value)).reshape(shape)
+    return np.asarray(device_arrays().plain.UInt8(value)).reshape(shape)
 
 
 def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:
@@ -154,19 +157,19 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
     clock, arrays, camera = PassClock(), device_arrays(), shown.frame.camera
     newest = newest.resized(camera.width, camera.height)
     plain, size = arrays.plain, (camera.width, camera.height)
-    values = plain.Float(uploaded(dr.uint8_array_t(plain.Float), shown.image))
+    values = plain.Float(uploaded(plain.UInt8, shown.image))
     dr.eval(values)
     image = DeviceImage(arrays, values, *size, camera.width)
     flat = warped(image, _nearness(camera, newest, tracer), camera, newest).values
-    pixels = np.asarray(dr.uint8_array_t(plain.Float)(flat + 0.5)).reshape(shown.image.shape)
+    pixels = np.asarray(plain.UInt8(flat + 0.5)).reshape(shown.image.shape)
     clock.lap("warp")
     passes, took = dict(shown.milliseconds), clock.milliseconds()
     took["total"] += passes.pop("total", 0.0)
     return replace(shown, image=pixels, milliseconds=passes | took)
 
 
-def _nearness(camera: Camera, newest: Camera, tracer: Tracer) -> Any:
-    """Float, the inverse depth of what the camera sees in each cell; 0 if the newest one has only turned."""
+def _nearness(camera: Camera, newest: Camera, tracer: Tracer) -> Float:
+    """The inverse depth of what the camera sees in each cell; 0 if the newest one has only turned."""
     arrays, (rows, columns) = device_arrays(), grid(camera)
     plain = arrays.plain
     if np.allclose(camera.position, newest.position, rtol=0, atol=_SAME_VIEWPOINT):

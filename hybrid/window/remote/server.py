@@ -18,10 +18,8 @@ import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,6 +180,10 @@ class ViewServer:
             UserError: it cannot listen there.
         """
         limits = self._limits
+
+        class Connection(_Connection):
+            view_server = self
+
         with listening(f"{where.host} {where.port}"):
             server = await serve(
                 self._serve,
@@ -201,7 +203,7 @@ class ViewServer:
                 max_queue=_MOST_UNREAD,
                 write_limit=_MOST_WAITING,
                 logger=QUIET,
-                create_connection=partial(_Connection, self),  # type: ignore[arg-type]
+                create_connection=Connection,
             )
         try:
             async with server:
@@ -398,19 +400,20 @@ class _Connection(ServerConnection):
     """A connection that says why it ended, and ends when a client sends too much or reads too little.
 
     Attributes:
+        view_server: whose connection it is.
         fault: why it is ended; empty if the client leaves by itself.
+        peer: address of the client.
     """
 
-    def __init__(self, server: ViewServer, *arguments: Any, **named: Any):
-        super().__init__(*arguments, **named)
-        self._view_server, self._bytes = server, _Budget(server.most_bytes_per_second)
-        self.fault, self.peer = "ended: no handshake", "unknown"
+    view_server: ViewServer
+    fault, peer = "ended: no handshake", "unknown"
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        self._bytes = _Budget(self.view_server.most_bytes_per_second)
         peer = transport.get_extra_info("peername") or ("unknown", 0)
         self.peer = f"{peer[0]}:{peer[1]}"
-        if not self._view_server.opened(self):
+        if not self.view_server.opened(self):
             self.fault = "refused: too many connections"
             self.transport.abort()
 
@@ -420,7 +423,7 @@ class _Connection(ServerConnection):
         # Not those who leave, nor all when the server goes away.
         if sent is not None and not self.protocol.close_rcvd_then_sent and sent.code != CloseCode.GOING_AWAY:
             self.fault = self.fault or f"ended: {one_line(sent.reason) or sent.code}"
-        self._view_server.closed(self)
+        self.view_server.closed(self)
 
     def data_received(self, data: bytes) -> None:
         try:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.study.design import Clip, StudyMethod, load_design, williams
+from hybrid.study.design import StudyMethod, load_design, williams
 from tests.hybrid.study.studies import CONDITIONS, design
 
 METHODS = list(StudyMethod)
@@ -82,7 +82,6 @@ def test_phases_are_those_of_bt_500():
 
 
 def test_a_video_is_shown_whole():
-    assert Clip("a", "b", frames=60, fps=30.0).as_phase(2.0)["seconds"] == 2.0
     made = design(frames=9)
     assert made.phases(made.order(0)[0])[1]["seconds"] == 9 / 30
 

@@ -5,9 +5,9 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.study.analysis import AnalysisSettings, analyse
+from hybrid.study.comparisons import observers_for_difference
 from hybrid.study.design import StudyMethod
 from hybrid.study.observations import Choices, Ratings
-from hybrid.study.power import observers_for_difference
 from hybrid.study.scaling import scale
 from hybrid.study.session import StudySession, observer_file
 from tests.extremes import extreme
