@@ -1,10 +1,11 @@
-"""Servers: what those that listen have in common, and pages for the browsers of this machine."""
+"""Connections: what servers and clients have in common, and pages for the browsers of this machine."""
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import secrets
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from contextlib import contextmanager
 
 from compose.base.errors import UserError, one_line
@@ -30,6 +31,22 @@ def listening(where: str) -> Iterator[None]:
         yield
     except (OSError, OverflowError) as error:
         raise UserError(f"{where}: cannot be served ({one_line(error)})") from error
+
+
+async def until_first(*parts: Coroutine[None, None, None]) -> None:
+    """Runs all parts of a connection until one has ended; raises its error, and cancels the others."""
+    tasks = [asyncio.ensure_future(part) for part in parts]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        ended = asyncio.gather(*tasks, return_exceptions=True)
+        # Again and again: before Python 3.12, wait_for may swallow a cancellation.
+        while not ended.done():
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait([ended], timeout=0.05)
 
 
 class Visitors:

@@ -62,7 +62,6 @@ def serve(
     token = secrets.token_urlsafe(32) if token_file is None else read_token(token_file)
     o.select(backend)
     from hybrid.preparation.preparation import found_forest, with_forest
-    from hybrid.window.remote.server import ViewCuts
 
     loaded, file = found_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
     if file is None:
@@ -72,8 +71,7 @@ def serve(
     server = ViewServer(
         found,
         (loaded.camera, distance if 0 < distance < float("inf") else 1.0),
-        lambda served: ViewCuts(served, settings),
-        acuity_model,
+        settings,
         token,
         Limits(clients, rate),
     )

@@ -151,7 +151,6 @@ def _of_choices(choices: Choices, settings: AnalysisSettings) -> Row:
 
 
 def _told(found: Scale, choices: Choices, settings: AnalysisSettings) -> Row:
-    """A scale as it stands in the JSON."""
     low, high = found.interval(settings.level)
     order = np.argsort(-found.jod, kind="stable")
     names = found.conditions
@@ -209,7 +208,6 @@ def _pair(
 
 
 def _about_observers(found: Row) -> Iterator[str]:
-    """How many took part, and who was left out and why."""
     rated = found["kind"] == "ratings"
     rule = "by the screening of BT.500" if rated else "because their choices disagree with all others'"
     said = f"{found['observers']} observers gave {found['answers']:,} {'votes' if rated else 'choices'}"
@@ -228,13 +226,16 @@ def _about_observers(found: Row) -> Iterator[str]:
 
 
 def _about_quality(found: Row) -> Iterator[str]:
-    """What was found about the conditions."""
     settings = found["settings"]
     percent, margin, reference = f"{100 * settings['level']:g} %", settings["margin"], settings["reference"]
     if found["kind"] == "choices":
         scales = found["scales"]
         if len(scales) > 1 and scales[0]["group"]:
-            yield from map(_about_scale, scales)
+            for told in scales:
+                differ = sum(row["different"] for row in told["pairs"])
+                best, *_, worst = (f"{row['condition']} ({row['jod']:.2f} JOD)" for row in told["qualities"])
+                count = f"{differ} of {len(told['pairs'])} pairs differ"
+                yield f"{told['group']}: from {worst} to {best}; {count}."
             return
         pairs, better, unit = scales[0]["pairs"], "is preferred over", "JOD"
     else:
@@ -245,23 +246,11 @@ def _about_quality(found: Row) -> Iterator[str]:
             yield f"Conditions were not compared: {found['not_compared']}."
             return
         pairs, better, unit = found["comparison"]["pairs"], "is rated higher than", "steps"
-    for row in _chosen(pairs, reference or pairs[0]["first"]):
+    if len(pairs) > _MOST_TOLD * (_MOST_TOLD - 1) // 2:
+        one = reference or pairs[0]["first"]
+        pairs = [row for row in pairs if one in (row["first"], row["second"])]
+    for row in pairs:
         yield sentence(row, better, unit, percent, margin)
-
-
-def _about_scale(told: Row) -> str:
-    differ = sum(row["different"] for row in told["pairs"])
-    worst, best = (
-        f"{row['condition']} ({row['jod']:.2f} JOD)" for row in (told["qualities"][i] for i in (-1, 0))
-    )
-    return f"{told['group']}: from {worst} to {best}; {differ} of {len(told['pairs'])} pairs differ."
-
-
-def _chosen(pairs: Sequence[Row], reference: str) -> list[Row]:
-    """All pairs of a few conditions, or those with the reference."""
-    if len(pairs) <= _MOST_TOLD * (_MOST_TOLD - 1) // 2:
-        return list(pairs)
-    return [row for row in pairs if reference in (row["first"], row["second"])]
 
 
 def sentence(row: Row, better: str, unit: str, percent: str, margin: float) -> str:

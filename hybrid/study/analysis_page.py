@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from compose.base.files import json_text, write_whole
+from compose.base.files import json_text, write_text
 from hybrid.evaluation.evaluation_page import rendered
 from hybrid.evaluation.result_plots import OTHER_COLOUR, OURS_COLOUR, new_axes, svg_of
 from hybrid.study.analysis import p_text
@@ -53,14 +53,10 @@ def write_page(folder: Path, found: Row) -> None:
     csv_rows: list[Sequence[object]] = []
     for table in tables:
         csv_rows += [[table["title"]], table["columns"], *table["rows"], []]
-    _write_text(folder / "index.html", page)
-    _write_text(folder / "analysis.json", json_text(found))
+    write_text(folder / "index.html", page)
+    write_text(folder / "analysis.json", json_text(found))
     write_table(folder / "table.csv", csv_rows[:-1])
-    _write_text(folder / "table.tex", "\n".join(latex_table(table) for table in tables))
-
-
-def _write_text(path: Path, text: str) -> None:
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(folder / "table.tex", "\n".join(latex_table(table) for table in tables))
 
 
 def tables_of(found: Row) -> list[Row]:
@@ -113,7 +109,6 @@ def _table(title: str, rows: list[Row], columns: dict[str, str], main: bool = Tr
 
 
 def _text(row: Row, name: str) -> str:
-    """A cell of a table."""
     if name == "verdict":
         return " and ".join(one for one in ("different", "equivalent") if row[one]) or "open"
     value = row[name]
@@ -179,7 +174,6 @@ def plots(found: Row) -> list[str]:
 
 
 def _bars(count: int) -> Axes:
-    """Axes of horizontal bars, the first one on top."""
     axes = new_axes()
     axes.get_figure().set_size_inches(7.2, 1.4 + 0.32 * count)  # type: ignore[union-attr]
     axes.invert_yaxis()

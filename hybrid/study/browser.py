@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from compose.base.errors import UserError, file_inside, one_line
 from compose.base.files import parse_json
@@ -25,8 +25,7 @@ def serve_study(session: StudySession, announce: Callable[[str], object], port: 
     """Serves a study to a browser on this machine until the page has got the last step.
 
     Args:
-        announce: gets the address to open once it can be; a token in it, another one each time, keeps others
-            out.
+        announce: gets the address to open once it can be, with a new token that keeps others out.
         port: of 127.0.0.1; 0 takes a free one.
 
     Raises:
@@ -64,20 +63,17 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
+    server: _Server
     # Seconds that a request may stall.
     timeout = 30
-
-    @property
-    def _study(self) -> _Server:
-        return cast("_Server", self.server)
 
     def do_GET(self) -> None:
         path = self._path()
         if path == "/":
-            self._send(200, self._study.page, "text/html; charset=utf-8")
+            self._send(200, self.server.page, "text/html; charset=utf-8")
         elif path == "/step":
-            with self._study.lock:
-                step = self._study.session.step
+            with self.server.lock:
+                step = self.server.session.step
             self._send_step(step)
         elif path is not None:
             self._send_frame(path)
@@ -88,10 +84,10 @@ class _Handler(BaseHTTPRequestHandler):
             return
         if path != "/answer":
             return self._refuse(404, "there is no such address")
-        session = self._study.session
+        session = self.server.session
         try:
             reply = self._reply()
-            with self._study.lock:
+            with self.server.lock:
                 # A reply sent again after a lost connection must not count twice.
                 if reply["step"] == session.step["id"]:
                     session.answer(reply)
@@ -103,8 +99,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _path(self) -> str | None:
         """The path asked for; None, after an answer of 403, if it is not the page that asks."""
         path, _, query = self.path.partition("?")
-        headers, port = self.headers, self._study.server_port
-        if self._study.visitors.admits(query, headers.get("Host"), headers.get("Origin"), port):
+        headers, port = self.headers, self.server.server_port
+        if self.server.visitors.admits(query, headers.get("Host"), headers.get("Origin"), port):
             return path
         self._refuse(403, "open the address that the study printed")
         return None
@@ -126,14 +122,14 @@ class _Handler(BaseHTTPRequestHandler):
     def _send_step(self, step: dict[str, Any]) -> None:
         self._send(200, json.dumps(step, allow_nan=False).encode(), "application/json")
         if step["kind"] == "end":
-            self._study.stop()
+            self.server.stop()
 
     def _send_frame(self, path: str) -> None:
         found = _FRAME.fullmatch(path)
         try:
             if not found:
                 raise ValueError
-            content = file_inside(self._study.session.folder / "clips", found[1]).read_bytes()
+            content = file_inside(self.server.session.folder / "clips", found[1]).read_bytes()
         except (OSError, ValueError):
             return self._refuse(404, "there is no such frame")
         self._send(200, content, "image/png")

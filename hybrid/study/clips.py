@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import json_text, read_json, whole_folder, write_whole
+from compose.base.files import json_text, read_json, whole_folder, write_text
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze, GazeTrace
 from compose.image.colour import Image, bytes_from_radiance
@@ -54,15 +54,20 @@ class Preset:
     observers: int = 15
 
 
-_HYBRID: dict[str, Any] = {"method": "hybrid"}
-# Splats alone, with levels of detail and without.
+_TRUTH: Conditions = {REFERENCE: {"method": REFERENCE}}
+# Splats alone, with levels of detail.
 _FOVEATED: dict[str, Any] = {"method": "hybrid", "fov_a": 0.0}
-_ALL: dict[str, Any] = {"method": "hybrid", "fov_a": 0.0, "acuity_model": "none"}
+_COMPARED: Conditions = {
+    **_TRUTH,
+    "hybrid": {"method": "hybrid"},
+    "all splats": {**_FOVEATED, "acuity_model": "none"},
+    "foveated splats": _FOVEATED,
+}
 PRESETS = {
     # Five views, each three times (Foveated Path Culling, section 5).
     "fpc": Preset(
         StudyMethod.DSIS,
-        {REFERENCE: {"method": REFERENCE}, "hybrid": {"method": "hybrid", "fovea": "raw"}},
+        {**_TRUTH, "hybrid": {"method": "hybrid", "fovea": "raw"}},
         repeats=3,
         views=5,
         observers=11,
@@ -70,25 +75,11 @@ PRESETS = {
     # Ground truth, theirs, all Gaussians at full rate, and levels of detail alone (Fov-GS, section 5).
     "fov-gs": Preset(
         StudyMethod.GRADED,
-        {
-            REFERENCE: {"method": REFERENCE},
-            "hybrid": _HYBRID,
-            "all splats": _ALL,
-            "foveated splats": {**_FOVEATED, "acuity_model": "fov-gs"},
-        },
+        {**_COMPARED, "foveated splats": {**_FOVEATED, "acuity_model": "fov-gs"}},
         Timing(stimulus=8.0, answer=None, rest=10.0),
     ),
     # Against all Gaussians and foveated ones (perceptually guided continuous level of detail, section 4).
-    "pairs": Preset(
-        StudyMethod.PAIRS,
-        {
-            REFERENCE: {"method": REFERENCE},
-            "hybrid": _HYBRID,
-            "all splats": _ALL,
-            "foveated splats": _FOVEATED,
-        },
-        Timing(answer=None),
-    ),
+    "pairs": Preset(StudyMethod.PAIRS, _COMPARED, Timing(answer=None)),
 }
 
 
@@ -219,9 +210,8 @@ class Stimuli:
         found = {}
         with interrupts_between_steps() as interrupted:
             for number, each in enumerate(frames):
-                clips = {
-                    name: self._clip(number, name, [gaze for _, gaze in each]) for name in self._conditions
-                }
+                gazes = [gaze for _, gaze in each]
+                clips = {name: self._clip(number, name, gazes) for name in self._conditions}
                 for name, clip in clips.items():
                     if not (self._folder / clip.name).is_dir():
                         self._write(clip, self._images(self._conditions[name], each), bar, interrupted)
@@ -246,14 +236,9 @@ class Stimuli:
                 found = read_json(file)
             except (OSError, ValueError) as error:
                 raise UserError(f"{file}: is damaged ({one_line(error)}); delete {self._folder}") from error
-            require_same(
-                found,
-                self._identity,
-                f"{self._folder}: holds other clips",
-                "delete it, or name another folder",
-            )
-        text = json_text(self._identity)
-        write_whole(file, lambda part: part.write_text(text, encoding="utf-8"))
+            said = f"{self._folder}: holds other clips"
+            require_same(found, self._identity, said, "delete it, or name another folder")
+        write_text(file, json_text(self._identity))
 
     def _clip(self, view: int, condition: str, gazes: list[Gaze]) -> Clip:
         # A trace may look beside the frame.
@@ -270,30 +255,22 @@ class Stimuli:
 
     def _images(self, settings: dict[str, Any], frames: list[tuple[View, Gaze]]) -> Iterator[Image]:
         """The frames of a condition, (H, W, 3) linear radiance each."""
-        render, shown = self._method(settings), self._presentation
-        # No frame of another condition or view is part of these.
-        self._renderer.forget()
-        for number, (view, gaze) in enumerate(frames):
-            yield render(view, gaze, shown.seed + number)
-
-    def _method(self, settings: dict[str, Any]) -> Callable[[View, Gaze, int], Image]:
-        renderer, shown = self._renderer, self._presentation
-        kind = settings.get("method", "hybrid")
-        if kind == REFERENCE:
-            return lambda view, gaze, seed: self._reference(view, seed)
-        method: Method = HybridMethod(renderer, _settings_of(shown.frame, settings))
+        renderer, shown, kind = self._renderer, self._presentation, settings.get("method", "hybrid")
+        method: Method | None = None
         if kind == "full":
-            tracer = renderer.tracer_of(Integrator.PATH)
-            method = FullTrace(tracer, settings.get("spp", 4), bool(settings.get("denoised", True)))
-        return lambda view, gaze, seed: method.render(view, gaze, seed).image
-
-    def _reference(self, view: View, seed: int) -> Image:
-        self._renderer.scene.show(view.time)
-        tracer = self._renderer.tracer_of(Integrator.PATH)
-        return reference(tracer, view.camera, self._presentation.spp, REFERENCE_SEED + seed).radiance
+            method = FullTrace(renderer.tracer, settings.get("spp", 4), bool(settings.get("denoised", True)))
+        elif kind == "hybrid":
+            method = HybridMethod(renderer, _settings_of(shown.frame, settings))
+        # No frame of another condition or view is part of these.
+        renderer.forget()
+        for seed, (view, gaze) in enumerate(frames, shown.seed):
+            if method is not None:
+                yield method.render(view, gaze, seed).image
+            else:
+                renderer.scene.show(view.time)
+                yield reference(renderer.tracer, view.camera, shown.spp, REFERENCE_SEED + seed).radiance
 
     def _anchor(self, view: int, of: Clip) -> Clip:
-        """The coarse version of a clip."""
         clip = replace(of, name=self._name(view, ANCHOR), condition=ANCHOR)
         if not (self._folder / clip.name).is_dir():
             with whole_folder(self._folder / clip.name, _file(clip.frames - 1)) as part:

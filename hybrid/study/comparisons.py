@@ -222,7 +222,6 @@ def _equivalence(x: Floats, y: Floats, normal: bool, margin: float) -> float:
 
 
 def _wilcoxon(difference: Floats, alternative: str) -> tuple[float, float]:
-    """Statistic and p-value."""
     # Means of whole votes that are equal in truth may differ in their last digits.
     with np.errstate(invalid="ignore"):
         found = stats.wilcoxon(np.round(difference, 9), alternative=alternative)

@@ -18,7 +18,7 @@ import fastjsonschema
 import numpy as np
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import json_text, read_json, write_whole
+from compose.base.files import json_text, read_json, write_text
 
 FILE = "study.json"
 # Conditions that the others are compared with, and that checks attention.
@@ -275,7 +275,7 @@ class Design:
             _schema()(found)
         except fastjsonschema.JsonSchemaException as error:
             raise UserError(f"{folder / FILE}: {one_line(error.message.removeprefix('data.'))}") from error
-        write_whole(folder / FILE, lambda part: part.write_text(json_text(found), encoding="utf-8"))
+        write_text(folder / FILE, json_text(found))
 
 
 def compared(method: StudyMethod, shown: dict[str, list[Clip]], attention: int) -> dict[str, Any]:
@@ -347,7 +347,6 @@ def load_design(folder: Path) -> Design:
 
 
 def _design(found: dict[str, Any]) -> Design:
-    """A design from JSON that is as the schema wants it."""
 
     def all_of(name: str) -> tuple[Comparison, ...]:
         return tuple(

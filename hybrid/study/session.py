@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import json_text, require_size_below, write_whole
+from compose.base.files import json_text, require_size_below, write_text
 from hybrid.study.design import SCALES, Design, StudyMethod, Trial
 
 RESULTS = "results"
@@ -52,7 +52,6 @@ class LabStream:
     """
 
     def __init__(self, looked_for: float = _LOOKED_FOR):
-        """Looks for the stream, for so many seconds."""
         try:
             import pylsl
         except (ImportError, RuntimeError) as error:
@@ -159,8 +158,7 @@ class StudySession:
                     "fields": [{"choices": [], **one} for one in design.fields],
                     "button": "Continue",
                 }
-                asked = json_text(reply["values"])
-                write_whole(self.file.with_suffix(".json"), lambda part: part.write_text(asked, "utf-8"))
+                write_text(self.file.with_suffix(".json"), json_text(reply["values"]))
             self._append(COLUMNS)
             yield _text("What to do", design.intro, "Begin")
         before = "training"
@@ -206,10 +204,15 @@ class StudySession:
         problem = self._problem(trial, reply)
         # Training is over by then.
         again = bool(problem) and turn.attempt < _ATTEMPTS and trial.kind != "training"
+        # Known of trials that check attention only.
+        correct = ""
+        if trial.kind == "attention":
+            given = 3 - answer if trial.swapped and answer else answer
+            correct = "yes" if given in trial.comparison.expected else "no"
         values: dict[str, Any] = self._identity(turn) | {
             "kind": "repeated" if again else trial.kind,
             "chosen" if self._design.method is StudyMethod.PAIRS else "vote": answer,
-            "correct": _correct(trial, answer),
+            "correct": correct,
             "problem": problem,
             "reaction_ms": round(reply["reaction_ms"], 1),
             "interval_ms": round(reply["interval_ms"], 2),
@@ -303,21 +306,18 @@ class StudySession:
         if rows and tuple(rows[0]) != COLUMNS:
             raise UserError(f"{self.file}: line 1: must be {','.join(COLUMNS)}")
         for number, row in enumerate(rows[1:], 2):
-            self._replay_row(number, row)
+            found = dict(zip(COLUMNS, row, strict=False))
+            if len(row) != len(COLUMNS) or not self._queue:
+                raise UserError(f"{self.file}: line {number} is not an answer to a trial of this study")
+            for name, value in self._identity(self._queue[0]).items():
+                if found[name] != str(value):
+                    was = one_line(f"{name} {found[name][:40]!r} where the design has {value!r}")
+                    raise UserError(f"{self.file}: line {number}: {was}; its design was another one")
+            self._passed(found["kind"] == "repeated")
         if len(whole) < len(content):
             file.truncate(len(whole))
         # Without its first line, it is that of an observer who has not begun.
         self._resumed = bool(rows)
-
-    def _replay_row(self, number: int, row: list[str]) -> None:
-        found = dict(zip(COLUMNS, row, strict=False))
-        if len(row) != len(COLUMNS) or not self._queue:
-            raise UserError(f"{self.file}: line {number} is not an answer to a trial of this study")
-        for name, value in self._identity(self._queue[0]).items():
-            if found[name] != str(value):
-                was = f"{name} {found[name][:40]!r} where the design has {value!r}"
-                raise UserError(f"{self.file}: line {number}: {one_line(was)}; its design was another one")
-        self._passed(found["kind"] == "repeated")
 
 
 def observer_file(folder: Path, observer: int) -> Path:
@@ -344,16 +344,6 @@ def _lock(file: io.BufferedRandom, observer: int) -> None:
 
 def _text(title: str, body: str, button: str, seconds: float = 0.0) -> Step:
     return {"kind": "text", "title": title, "body": body, "button": button, "seconds": seconds}
-
-
-def _correct(trial: Trial, answer: int | None) -> str:
-    """Whether an answer that is known was given; empty for trials that do not check attention."""
-    if trial.kind != "attention":
-        return ""
-    wanted = (
-        {3 - value for value in trial.comparison.expected} if trial.swapped else trial.comparison.expected
-    )
-    return "yes" if answer in wanted else "no"
 
 
 def _off_the_cross(
@@ -406,7 +396,6 @@ def _checked_trial(step: Step, reply: dict[str, Any]) -> dict[str, Any]:
 
 
 def _finite(value: str | float) -> float:
-    """A number of 0 or more."""
     number = float(value)
     if not 0 <= number < math.inf:
         raise ValueError(f"{json.dumps(value)[:40]} is not a number of 0 or more")

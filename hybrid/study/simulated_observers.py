@@ -6,7 +6,6 @@ They try a design, its files and its analysis before anyone comes, and tell how 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError, one_line, require_seed
-from compose.base.files import json_text, read_json, write_whole
+from compose.base.files import json_text, read_json, write_text
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, radiance_from_srgb
@@ -52,16 +51,6 @@ def rounded_vote(jod: float, own: Quality, slope: float = _SLOPE) -> Quality:
     return found
 
 
-def opinions(random: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """(count,) an observer's own opinions of conditions, bias included, in steps."""
-    return random.normal(0, _SPREAD) + random.normal(0, _SPREAD, count)
-
-
-def noise(random: np.random.Generator) -> float:
-    """By how much a vote is off, in steps."""
-    return float(random.normal(0, _NOISE))
-
-
 def simulated_choices(
     jods: Qualities,
     observers: int,
@@ -84,7 +73,9 @@ def simulated_choices(
     random = np.random.default_rng(require_seed(seed))
     rows, chosen = [], []
     for scene, qualities in jods.items():
-        own = _own(random, qualities, observers, spread)
+        # Over observers, the difference of two qualities has the variance of both on top.
+        widened = np.array(list(qualities.values())) * np.sqrt(1 + 2 * (spread / SIGMA) ** 2)
+        own = widened + random.normal(0, spread, (observers, len(qualities)))
         names = list(qualities)
         for first, second in combinations(range(len(names)), 2):
             prefers = chosen_share(own[:, first] - own[:, second], lapse)
@@ -136,15 +127,6 @@ def simulated_ratings(
     return Ratings(observer, where, condition, np.concatenate(votes))
 
 
-def _own(
-    random: np.random.Generator, jods: Mapping[str, float], observers: int, spread: float
-) -> NDArray[np.float64]:
-    """Qualities (observers, conditions) as each observer sees them."""
-    # Over observers, the difference of two qualities has the variance of both on top.
-    widened = np.array(list(jods.values())) * np.sqrt(1 + 2 * (spread / SIGMA) ** 2)
-    return widened + random.normal(0, spread, (observers, len(jods)))
-
-
 def _rows(observers: int, repetitions: int, scene: str, names: NDArray[np.str_]) -> list[NDArray[np.str_]]:
     """Columns of an observer's name, the scene, and the given ones."""
     digits = len(str(observers))
@@ -171,7 +153,7 @@ def clip_qualities(folder: Path, design: Design, display: Display, progress: Ste
     for number, name in enumerate(wanted):
         progress(number, len(wanted))
         found[name] = _quality(folder, design.clip(name), design.clip(truths[name]), display)
-        write_whole(file, partial(Path.write_text, data=json_text(found), encoding="utf-8"))
+        write_text(file, json_text(found))
     progress(len(wanted), len(wanted))
     return found
 
@@ -214,7 +196,9 @@ class SimulatedObserver:
         self._design, self._jods = design, jods
         self._random = np.random.default_rng([seed, observer])
         conditions = sorted({clip.condition for clip in design.clips})
-        self._own = dict(zip(conditions, opinions(self._random, len(conditions)), strict=True))
+        # Opinions of conditions, bias included, in steps.
+        own = self._random.normal(0, _SPREAD) + self._random.normal(0, _SPREAD, len(conditions))
+        self._own = dict(zip(conditions, own.tolist(), strict=True))
 
     def run(self, session: StudySession) -> None:
         """Answers all that is left of a session."""
@@ -240,4 +224,5 @@ class SimulatedObserver:
             first, second = (self._jods[name] for name in clips[-2:])
             return 1 if self._random.random() < chosen_share(first - second) else 2
         clip = self._design.clip(clips[-1])
-        return int(rounded_vote(self._jods[clip.name], self._own[clip.condition] + noise(self._random)))
+        own = self._own[clip.condition] + float(self._random.normal(0, _NOISE))
+        return int(rounded_vote(self._jods[clip.name], own))

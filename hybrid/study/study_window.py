@@ -47,7 +47,6 @@ class Player(QWidget):
     """Shows the phases of one trial, then its question; replies once it is answered or the time is up."""
 
     def __init__(self, window: StudyWindow, session: StudySession, interval: float):
-        """A player of the session's trial on a display whose interval is given in seconds."""
         super().__init__()
         self._session, self._step, self._interval = session, session.step, interval
         self._reply, self._fail = window.reply, window.fail
@@ -84,7 +83,6 @@ class Player(QWidget):
         return self._panel.isVisible()
 
     def _question(self) -> QWidget:
-        """The question with its answers, hidden until the phases are over."""
         panel, answers = QWidget(self), QHBoxLayout()
         answers.addStretch()
         for one in self._step["answers"]:
@@ -105,7 +103,6 @@ class Player(QWidget):
         return panel
 
     def _load(self) -> None:
-        """Decodes the next frame; when there is none left, the trial begins."""
         if self._wanted:
             name, frame = self._wanted.pop()
             file = self._session.folder / "clips" / name / f"{frame:06}.png"
@@ -129,7 +126,6 @@ class Player(QWidget):
         self._wait()
 
     def _wait(self) -> None:
-        """Waits for the next picture, which is the next frame or the next phase."""
         phase, start = self._step["phases"][self._phase], self._starts[-1]
         due = start + phase["seconds"]
         if self._frame + 1 < phase["frames"]:

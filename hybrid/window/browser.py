@@ -16,8 +16,8 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from hybrid.base.loopback import ADDRESS, HEADERS, QUIET, Visitors, listening
-from hybrid.window.page import MOST_BYTES, PageSession, PageShell, asset
+from hybrid.base.loopback import ADDRESS, HEADERS, QUIET, Visitors, listening, until_first
+from hybrid.window.page import MOST_BYTES, PageShell, asset
 from hybrid.window.viewer import Viewer
 
 # With which a connection is closed when another page takes over.
@@ -33,8 +33,7 @@ def serve_window(viewer: Viewer, announce: Callable[[str], object], port: int = 
     What a page leaves behind, a reloaded one too, the next one continues.
 
     Args:
-        announce: gets the address to open once it can be; a token in it, another one each time, keeps others
-            out.
+        announce: gets the address to open once it can be, with a new token that keeps others out.
         port: of 127.0.0.1; 0 takes a free one.
 
     Raises:
@@ -113,24 +112,24 @@ class _Pages:
     async def connected(self, connection: ServerConnection) -> None:
         """Serves a page until it leaves or another one takes over; a defect ends the window."""
         before, self._connection = self._connection, connection
-        session = self._shell.connect(partial(_send, connection))
-        tasks = [asyncio.ensure_future(self._read(connection, session)), asyncio.ensure_future(session.run())]
+
+        async def send(message: dict[str, Any], picture: bytes) -> None:
+            # Length and text of a message, then the picture: one message of the connection.
+            text = json.dumps(message, allow_nan=False).encode()
+            await connection.send(struct.pack("<I", len(text)) + text + picture)
+
+        async def read() -> None:
+            async for message in connection:
+                self._shell.receive(session, message if isinstance(message, str) else "")
+
+        session = self._shell.connect(send)
         if before is not None:
-            await before.close(_TAKEN_OVER, "another page has taken over")
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        self._shell.disconnect(session)
-        for task in tasks:
-            task.cancel()
-        for error in await asyncio.gather(*tasks, return_exceptions=True):
-            if isinstance(error, Exception) and not isinstance(error, ConnectionClosed):
-                self._viewer.on_failure(error)
-
-    async def _read(self, connection: ServerConnection, session: PageSession) -> None:
-        async for message in connection:
-            self._shell.receive(session, message if isinstance(message, str) else "")
-
-
-async def _send(connection: ServerConnection, message: dict[str, Any], picture: bytes) -> None:
-    """Sends length and text of a message, then the picture: one message of the connection."""
-    text = json.dumps(message, allow_nan=False).encode()
-    await connection.send(struct.pack("<I", len(text)) + text + picture)
+            self._parting = asyncio.ensure_future(before.close(_TAKEN_OVER, "another page has taken over"))
+        try:
+            await until_first(read(), session.run())
+        except ConnectionClosed:
+            pass
+        except Exception as error:
+            self._viewer.on_failure(error)
+        finally:
+            self._shell.disconnect(session)

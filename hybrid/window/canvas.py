@@ -23,7 +23,6 @@ class Canvas(QWidget):
     painted = Signal(object)
 
     def __init__(self, size: QSize):
-        """A canvas that would like to have a size in pixels of the screen."""
         super().__init__()
         self._hint = size
         self._shown: ShownFrame | None = None
@@ -60,7 +59,6 @@ class Canvas(QWidget):
         return QPointF(frame.x() + gaze.x * frame.width(), frame.y() + gaze.y * frame.height())
 
     def _frame_rectangle(self) -> QRectF:
-        """Where the frame is in this widget."""
         if self._image is None:
             return QRectF(self.rect())
         size = self._image.width(), self._image.height()
@@ -108,7 +106,6 @@ class Canvas(QWidget):
             self.painted.emit(self._shown)
 
     def _draw_lines(self, painter: QPainter, lines: list[str], centred: bool) -> None:
-        """Draws lines of text on a shade, in the middle or in the upper left corner."""
         if not lines:
             return
         font = QFont("monospace", 9)

@@ -114,8 +114,13 @@ class Controls:
         if value == self.values[name]:
             return
         self.values[name] = value
-        if name in _TIME:
-            self._set_playback(name, value)
+        if self._playback is not None and name in _TIME:
+            if name == "play":
+                self._playback.playing = bool(value)
+            elif name == "speed":
+                self._playback.speed = _SPEEDS[value]
+            else:
+                self._playback.seek(value / _TIME_STEPS)
             return
         for lower, upper in _RANGES:
             if name == lower:
@@ -182,15 +187,5 @@ class Controls:
 
     @property
     def _all_layers(self) -> bool:
-        """Whether no layer is left out."""
         most = next(one.high for one in self.all if one.name == "finest layer")
         return (self.values["coarsest layer"], self.values["finest layer"]) == (1, most)
-
-    def _set_playback(self, name: str, value: int) -> None:
-        assert self._playback is not None
-        if name == "play":
-            self._playback.playing = bool(value)
-        elif name == "speed":
-            self._playback.speed = _SPEEDS[value]
-        else:
-            self._playback.seek(value / _TIME_STEPS)

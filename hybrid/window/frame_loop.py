@@ -154,7 +154,6 @@ class FrameLoop:
         return shown
 
     def _chosen(self, request: Request) -> FrameSettings:
-        """The requested settings, or those that keep the target."""
         settings, target_fps = request.settings, request.target_fps
         if target_fps is None:
             return settings

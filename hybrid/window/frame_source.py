@@ -26,7 +26,7 @@ from hybrid.window.learning import ShownScene, Watched, forest_to_show
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of, late_warped
 from pathtrace.scene.backend import select_backend
-from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.scene.scene import load_scene
 from pathtrace.trace import Integrator
 
 # Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
@@ -100,7 +100,11 @@ class SceneSource:
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
         self._seed += 1
-        request = replace(request, settings=self._possible(request.settings))
+        layers = request.settings.layers
+        if layers is not None and layers[1] > self.layers:
+            # The forest may just have replaced another one.
+            layers = min(layers[0], self.layers), self.layers
+            request = replace(request, settings=replace(request.settings, layers=layers))
         # What frames of another size or kind needed.
         if time.monotonic() - self._released > _RELEASE_EVERY:
             release_memory()
@@ -136,31 +140,27 @@ class SceneSource:
     def renew(self, report: Progress) -> bool:
         if self._watched is None:
             return False
-        scene = self._watched.changed()
+        scene, before = self._watched.changed(), self.renderer.scene
         if scene is not None:
-            self._take_scene(self._watched, scene, report)
+            # Shown with the splats of before until it is learnt.
+            scene = with_plan_of(scene, before)
+            if self._last is not None and self._last.request.settings.used_integrator is Integrator.CACHED:
+                cache_for(scene, bars_of(report))
+            forest = self.renderer.periphery.forest
+            self.renderer = LiveRenderer(scene, replace(forest, scene_name=scene.name, scene_hash=scene.hash))
+            self._last = self._converging = None
+            self._watched.learn(self._forest, urgent=True)
             return True
         learnt = self._watched.learnt()
         if learnt is not None:
             self._forest, forest = learnt
-            if forest.scene_hash == self.renderer.scene.hash:
+            if forest.scene_hash == before.hash:
                 self.renderer.show_forest(forest)
             else:
                 # The scene had no plan before.
-                self.renderer = LiveRenderer(self.renderer.scene, forest)
+                self.renderer = LiveRenderer(before, forest)
             self._last = self._converging = None
         return learnt is not None
-
-    def _take_scene(self, watched: Watched, scene: Scene, report: Progress) -> None:
-        """Shows a scene whose files have changed, with the splats of before until it is learnt."""
-        before, forest = self.renderer.scene, self.renderer.periphery.forest
-        scene = with_plan_of(scene, before)
-        if self._last is not None and self._last.request.settings.used_integrator is Integrator.CACHED:
-            cache_for(scene, bars_of(report))
-        claimed = replace(forest, scene_name=scene.name, scene_hash=scene.hash)
-        self.renderer = LiveRenderer(scene, claimed)
-        self._last = self._converging = None
-        watched.learn(self._forest, urgent=True)
 
     def close(self) -> None:
         if self._watched is not None:
@@ -175,12 +175,6 @@ class SceneSource:
         if self._last is not None:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
-
-    def _possible(self, settings: FrameSettings) -> FrameSettings:
-        """Settings without layers that the forest does not have; it may just have replaced another one."""
-        if settings.layers is None or settings.layers[1] <= self.layers:
-            return settings
-        return replace(settings, layers=(min(settings.layers[0], self.layers), self.layers))
 
     def _rendered(self, request: Request, frame: Frame | None, quick: bool) -> tuple[Frame, int]:
         """The hybrid frame of a request, from the frame so far if any, and how many paths it took now."""

@@ -186,7 +186,6 @@ class Watched:
 
 
 def _learn(given: dict[str, Any], tell: Callable[..., None]) -> None:
-    """Prepares a scene as told; the process's whole work."""
     start, shown = given["start"], ShownScene(**given["scene"])
     if not given["urgent"]:
         _give_way()
@@ -222,7 +221,6 @@ def _give_way() -> None:
 
 
 def _telling(tell: Callable[..., None]) -> Progress:
-    """Tells a line about the progress from time to time."""
     told = time.monotonic()
 
     def report(done: int, total: int, label: str) -> None:

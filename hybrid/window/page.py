@@ -151,7 +151,6 @@ class PageSession:
             await self._send(message, picture)
 
     def _next(self) -> tuple[ShownFrame | None, int | None]:
-        """The frame to send now, if any, and its quality."""
         now = time.perf_counter()
         if self._viewer.request is not self._request:
             self._request, self._changed = self._viewer.request, now
@@ -195,7 +194,6 @@ class PageSession:
         return seconds + self._offset
 
     def _state(self) -> dict[str, Any]:
-        """What the page shows beside frames."""
         viewer, controls = self._viewer, self._viewer.controls
         state: dict[str, Any] = {
             "title": viewer.title,

@@ -386,7 +386,6 @@ def _number(event: Event, name: str, least: float = -1e6, most: float = 1e6) -> 
 
 
 def _key(event: Event) -> str:
-    """The key of an event, letters in lower case."""
     key = event.get("key")
     if not isinstance(key, str):
         raise ValueError(f"{event['type']}: key {key!r} is no text")

@@ -27,7 +27,7 @@ from compose.camera.camera import Camera
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import home
-from hybrid.base.loopback import QUIET
+from hybrid.base.loopback import QUIET, until_first
 from hybrid.base.progress import Progress
 from hybrid.window.messages import Server
 from hybrid.window.remote.protocol import (
@@ -168,8 +168,10 @@ class Remote:
                     logger=QUIET,
                 ) as connection:
                     await self._begun(connection)
-                    delay = _FIRST_DELAY
-                    await self._session(connection)
+                    delay, received = _FIRST_DELAY, _Received(self.tree.inner)
+                    await until_first(
+                        self._send_views(connection, received), self._take_masks(connection, received)
+                    )
                     self._say("the connection was lost (the server has ended it)")
             except (OSError, WebSocketException, ValueError, UserError, asyncio.TimeoutError) as error:
                 self._say(_said(error))
@@ -185,7 +187,6 @@ class Remote:
         self.changed.set()
 
     async def _begun(self, connection: ClientConnection) -> None:
-        """Takes the welcome and, unless it is here, the forest."""
         message = await asyncio.wait_for(connection.recv(), _PATIENCE)
         if not isinstance(message, str):
             raise ValueError("a server that does not begin with a welcome")
@@ -221,22 +222,6 @@ class Remote:
         if hashlib.sha256(content).hexdigest() != welcome.forest:
             raise ValueError("a forest that is not the one that the server names")
         return content
-
-    async def _session(self, connection: ClientConnection) -> None:
-        """Views and masks, until the server ends the connection; raises why it cannot go on."""
-        received = _Received(self.tree.inner)
-        tasks = [
-            asyncio.ensure_future(part)
-            for part in (self._send_views(connection, received), self._take_masks(connection, received))
-        ]
-        try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _send_views(self, connection: ClientConnection, received: _Received) -> None:
         pace, due = 1 / (_PACE * self.welcome.rate), 0.0
@@ -311,7 +296,6 @@ def _context(address: str, authority: Path | None) -> ssl.SSLContext | None:
 
 
 def _said(error: Exception) -> str:
-    """Why there is no connection."""
     if isinstance(error, InvalidStatus):
         refused = {401: "the server refuses the token", 503: "the server has no room for another client"}
         status = error.response.status_code
@@ -325,7 +309,6 @@ def _said(error: Exception) -> str:
 
 
 def _is_whole(file: Path, welcome: Welcome) -> bool:
-    """Whether a forest's file is here, and is the one that the server names."""
     try:
         if file.stat().st_size != welcome.bytes:
             return False

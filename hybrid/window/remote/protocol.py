@@ -156,23 +156,20 @@ class Welcome:
             camera = entry.pop("camera")
             pose = np.array(camera.pop("world_to_camera"), dtype=np.float64)
             found = Welcome(camera=Camera(pose, **camera), **entry)
-            found._check()
+            acuity_model_named(found.acuity_model)
+            # Both become parts of files' names.
+            claimed_scene(found.scene, found.forest)
+            if not isinstance(found.bytes, int) or not isinstance(found.packed, int):
+                raise TypeError("sizes must be whole numbers")
+            if not (found.distance > 0 and found.rate > 0):
+                raise ValueError("a welcome whose distance or rate is not over 0")
         except (TypeError, KeyError, AttributeError, UserError) as error:
             raise ValueError(f"a welcome that says something else ({error})") from error
-        return found
-
-    def _check(self) -> None:
-        acuity_model_named(self.acuity_model)
-        # Both become parts of files' names.
-        claimed_scene(self.scene, self.forest)
-        if len(self.forest) != 64:
+        if len(found.forest) != 64:
             raise ValueError("a welcome whose hash is none")
-        if not isinstance(self.bytes, int) or not isinstance(self.packed, int):
-            raise TypeError("sizes must be whole numbers")
-        if not 0 < self.packed <= 2 * MOST_FOREST or not 0 < self.bytes <= MOST_FOREST:
-            raise ValueError(f"a forest of {self.bytes} bytes; at most {MOST_FOREST} are taken")
-        if not (self.distance > 0 and self.rate > 0):
-            raise ValueError("a welcome whose distance or rate is not over 0")
+        if not 0 < found.packed <= 2 * MOST_FOREST or not 0 < found.bytes <= MOST_FOREST:
+            raise ValueError(f"a forest of {found.bytes} bytes; at most {MOST_FOREST} are taken")
+        return found
 
 
 # Bits of a gap in each of its bytes, and bytes that a gap takes at most: over 200 million nodes.
@@ -227,7 +224,6 @@ def _bytes_of(gaps: Ints) -> NDArray[np.uint8]:
 
 
 def _gaps_of(content: NDArray[np.uint8]) -> Ints:
-    """The numbers in bytes."""
     if not len(content):
         return np.zeros(0, np.int64)
     last = np.flatnonzero(content < _CONTINUED)

@@ -34,7 +34,7 @@ from compose.camera.camera import Camera
 from compose.eye.acuity import acuity_model_named
 from compose.eye.detail import LayerRange, detail_map
 from hybrid.base.compute_device import device_arrays
-from hybrid.base.loopback import QUIET, listening
+from hybrid.base.loopback import QUIET, listening, until_first
 from hybrid.render.frame_settings import MOST_LEVEL, FrameSettings
 from hybrid.render.periphery import continuous_levels
 from hybrid.window.remote.protocol import (
@@ -136,12 +136,12 @@ class ViewCuts:
 
 
 class ViewServer:
-    """Serves the cuts of one forest; backend and forest stay on the thread of `cutting`.
+    """Serves the cuts of one forest; backend and forest stay on a thread of their own.
 
     Args:
         forest: in which nothing moves.
         home: a camera for clients to start from, and the median distance to what it sees.
-        cuts: find the cuts of `forest`.
+        settings: of cuts, see `ViewCuts`.
         token: that clients must name.
         limits: what clients may cost.
 
@@ -153,8 +153,7 @@ class ViewServer:
         self,
         forest: Forest,
         home: tuple[Camera, float],
-        cuts: Callable[[Forest], ViewCuts],
-        acuity_model: str,
+        settings: FrameSettings,
         token: str,
         limits: Limits,
     ):
@@ -167,8 +166,9 @@ class ViewServer:
             raise UserError(f"a forest of {len(content):,} bytes; at most {MOST_FOREST:,} are served")
         digest = hashlib.sha256(content).hexdigest()
         sizes = len(content), len(self._forest)
-        self._welcome = Welcome(forest.scene_name, *home, digest, *sizes, acuity_model, limits.rate)
-        self._cuts = self._worker.submit(cuts, served).result()
+        model = settings.acuity_model
+        self._welcome = Welcome(forest.scene_name, *home, digest, *sizes, model, limits.rate)
+        self._cuts = self._worker.submit(ViewCuts, served, settings).result()
         self._clients: set[_Client] = set()
         self._open: set[_Connection] = set()
         self.facts = dict.fromkeys(("connections", "clients", "faults", "views", "masks", "mask_bytes"), 0)
@@ -253,7 +253,6 @@ class ViewServer:
         return None
 
     async def _serve(self, connection: ServerConnection) -> None:
-        """One client, from its welcome to its end."""
         assert isinstance(connection, _Connection)
         client = _Client(connection, self._limits)
         if len(self._clients) >= self._limits.clients:
@@ -261,11 +260,8 @@ class ViewServer:
             return
         self._clients.add(client)
         self.facts["clients"] += 1
-        tasks = [asyncio.ensure_future(task) for task in (self._read(client), self._write(client))]
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
+            await until_first(self._read(client), self._write(client))
         except ConnectionClosed:
             pass  # it says why itself
         except asyncio.TimeoutError:
@@ -278,9 +274,6 @@ class ViewServer:
             _LOG.exception("%s: the server failed", connection.peer)
             raise
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             self._clients.discard(client)
 
     async def _read(self, client: _Client) -> None:
@@ -314,7 +307,6 @@ class ViewServer:
                 await client.send(message)
 
     async def _mask(self, client: _Client, view: ViewMessage) -> bytes:
-        """The next message to a client, for a view."""
         # The client may answer before the cut is found.
         base, known, before = *client.base(), client.last
 

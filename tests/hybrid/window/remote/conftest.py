@@ -17,7 +17,7 @@ from compose.camera.camera import Camera
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.messages import Server
 from hybrid.window.remote.client import Remote
-from hybrid.window.remote.server import Limits, Listening, ViewCuts, ViewServer
+from hybrid.window.remote.server import Limits, Listening, ViewServer
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.model.trees import build_forest
@@ -66,8 +66,8 @@ def serve(forest, camera, own_home) -> Callable[..., contextlib.AbstractContextM
 
     @contextlib.contextmanager
     def running(tls=None, port=0, level=1.0, most=None, given=forest, **limits) -> Iterator[Served]:
-        cuts = lambda served: ViewCuts(served, settings(level, most))  # noqa: E731
-        server = ViewServer(given, (camera, 4.0), cuts, ACUITY, TOKEN, replace(Limits(), **limits))
+        cut = settings(level, most)
+        server = ViewServer(given, (camera, 4.0), cut, TOKEN, replace(Limits(), **limits))
         ports: queue.Queue[int] = queue.Queue()
         loop = asyncio.new_event_loop()
         task = loop.create_task(server.run(Listening("localhost", port, tls), ports.put))
