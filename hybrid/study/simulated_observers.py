@@ -45,9 +45,9 @@ def chosen_share(jod: Quality, lapse: float = _LAPSE) -> Quality:
     return lapse / 2 + (1 - lapse) * preference(jod)
 
 
-def rounded_vote(jod: float, own: Quality, slope: float = _SLOPE) -> Quality:
+def rounded_vote(jod: float, own: Quality) -> Quality:
     """The vote from 1 to 5 on a quality, with an observer's own opinion and noise in steps."""
-    found: Quality = np.clip(np.rint(5 - slope * (10 - jod) + own), 1, 5)
+    found: Quality = np.clip(np.rint(5 - _SLOPE * (10 - jod) + own), 1, 5)
     return found
 
 
@@ -89,38 +89,21 @@ def simulated_choices(
     return Choices(observer, group, first_shown, second_shown, np.concatenate(chosen))
 
 
-def simulated_ratings(
-    jods: Qualities,
-    observers: int,
-    repetitions: int = 1,
-    seed: int = 0,
-    slope: float = _SLOPE,
-    spread: float = _SPREAD,
-    noise: float = _NOISE,
-) -> Ratings:
+def simulated_ratings(jods: Qualities, observers: int, repetitions: int = 1, seed: int = 0) -> Ratings:
     """Votes from 1 to 5 for every condition of each scene; 10 JOD is what cannot be told from the reference.
 
-    A vote is 5 - slope * (10 - JOD) + the observer's bias + noise, rounded to the nearest step, and kept on
-    the scale.
-
-    Args:
-        jods: qualities in JOD, by condition, by scene.
-        observers: how many.
-        repetitions: votes for each condition and scene.
-        seed: of the random numbers.
-        slope: steps of the scale per JOD.
-        spread: standard deviation of observers' biases, and of their own opinion of a condition, in steps.
-        noise: standard deviation from vote to vote, in steps.
+    A vote is 5 - .6 (10 - JOD) + the observer's bias and own opinion of the condition + noise, rounded to the
+    nearest step, and kept on the scale. Arguments are as for `simulated_choices`.
     """
     random = np.random.default_rng(require_seed(seed))
-    bias = random.normal(0, spread, (observers, 1))
+    bias = random.normal(0, _SPREAD, (observers, 1))
     conditions = dict.fromkeys(name for qualities in jods.values() for name in qualities)
     # An observer's opinion of a condition is the same in all scenes.
-    own = {name: bias + random.normal(0, spread, (observers, 1)) for name in conditions}
+    own = {name: bias + random.normal(0, _SPREAD, (observers, 1)) for name in conditions}
     rows, votes = [], []
     for scene, qualities in jods.items():
         for name, jod in qualities.items():
-            vote = rounded_vote(jod, own[name] + random.normal(0, noise, (observers, repetitions)), slope)
+            vote = rounded_vote(jod, own[name] + random.normal(0, _NOISE, (observers, repetitions)))
             rows.append(_rows(observers, repetitions, scene, np.full((1, observers * repetitions), name)))
             votes.append(vote.ravel())
     observer, where, condition = (np.concatenate(part) for part in zip(*rows, strict=True))

@@ -239,7 +239,6 @@ class StudyWindow(QWidget):
         self._layout = QStackedLayout(self)
         # What goes on to the next step; None in a trial.
         self.button: QPushButton | None = None
-        self._ask: Callable[[], dict[str, Any]] = dict
         self.error: UserError | None = None
         QTimer.singleShot(0, self._show)
 
@@ -247,11 +246,6 @@ class StudyWindow(QWidget):
     def page(self) -> QWidget:
         """What is shown now."""
         return self._layout.currentWidget()
-
-    @property
-    def phase(self) -> dict[str, Any] | None:
-        """The phase of a trial that is shown now."""
-        return self.page.phase if isinstance(self.page, Player) else None
 
     @property
     def question_is_shown(self) -> bool:
@@ -315,8 +309,7 @@ class StudyWindow(QWidget):
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setFixedSize(width + 20, min(body.heightForWidth(width) + 4, round(0.6 * screen.height())))
         layout.addWidget(scroll, alignment=Qt.AlignmentFlag.AlignCenter)
-        self._ask = dict
-        self._add_button(layout, step)
+        self._add_button(layout, step, dict)
         return page
 
     def _form(self, step: Step) -> QWidget:
@@ -331,19 +324,17 @@ class StudyWindow(QWidget):
         holder = QWidget()
         holder.setLayout(form)
         layout.addWidget(holder, alignment=Qt.AlignmentFlag.AlignCenter)
-        self._ask = lambda: {
-            "values": {
-                name: entry.currentText() if isinstance(entry, QComboBox) else entry.text()
-                for name, entry in inputs.items()
-            }
+        texts = lambda: {  # noqa: E731
+            name: entry.currentText() if isinstance(entry, QComboBox) else entry.text()
+            for name, entry in inputs.items()
         }
-        self._add_button(layout, step)
+        self._add_button(layout, step, lambda: {"values": texts()})
         return page
 
-    def _add_button(self, layout: QVBoxLayout, step: Step) -> None:
+    def _add_button(self, layout: QVBoxLayout, step: Step, ask: Callable[[], dict[str, Any]]) -> None:
         end = step["kind"] == "end"
         button = QPushButton("Close" if end else step["button"])
-        button.clicked.connect(self.close if end else lambda: self.reply({"step": step["id"], **self._ask()}))
+        button.clicked.connect(self.close if end else lambda: self.reply({"step": step["id"], **ask()}))
         if step.get("seconds"):
             button.setEnabled(False)
             QTimer.singleShot(round(1000 * step["seconds"]), button, lambda: button.setEnabled(True))

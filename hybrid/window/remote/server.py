@@ -98,11 +98,7 @@ _LAYERS = LayerRange(1.0, (0,))
 
 
 def with_hierarchy(forest: Forest) -> Forest:
-    """The forest with its hierarchy and nothing else that splats alone are drawn without.
-
-    Raises:
-        UserError: something moves in it.
-    """
+    """The forest with its hierarchy and only what splats alone are drawn with; UserError if it moves."""
     if forest.motion is not None or forest.light is not None:
         raise UserError(f"something moves in the forest of {forest.scene_name}; only still ones are served")
     return replace(forest, attached={}, hierarchy=forest.own_hierarchy)
@@ -143,7 +139,7 @@ class ViewServer:
         home: a camera for clients to start from, and the median distance to what it sees.
         settings: of cuts, see `ViewCuts`.
         token: that clients must name.
-        limits: what clients may cost.
+        limits: what clients may cost; also an attribute.
 
     Attributes:
         facts: numbers of connections, of those refused or ended for a fault, and of what was sent.
@@ -157,7 +153,7 @@ class ViewServer:
         token: str,
         limits: Limits,
     ):
-        self._limits, self._expected = limits, f"Bearer {token}".encode()
+        self.limits, self._expected = limits, f"Bearer {token}".encode()
         self._worker = ThreadPoolExecutor(1, "cuts")
         served = with_hierarchy(forest)
         content = _file_of(served)
@@ -174,12 +170,8 @@ class ViewServer:
         self.facts = dict.fromkeys(("connections", "clients", "faults", "views", "masks", "mask_bytes"), 0)
 
     async def run(self, where: Listening, announce: Callable[[int], object]) -> None:
-        """Serves until it is cancelled; `announce` gets the port.
-
-        Raises:
-            UserError: it cannot listen there.
-        """
-        limits = self._limits
+        """Serves until it is cancelled; `announce` gets the port. UserError if it cannot listen there."""
+        limits = self.limits
 
         class Connection(_Connection):
             view_server = self
@@ -212,15 +204,10 @@ class ViewServer:
         finally:
             self._worker.shutdown()
 
-    @property
-    def most_bytes_per_second(self) -> float:
-        """That a client may send, frames of WebSockets and all."""
-        return self._limits.rate * MOST_FROM_CLIENT
-
     def opened(self, connection: _Connection) -> bool:
         """Whether one more connection can be open."""
         self.facts["connections"] += 1
-        strangers = _STRANGERS_PER_CLIENT * self._limits.clients + _STRANGERS
+        strangers = _STRANGERS_PER_CLIENT * self.limits.clients + _STRANGERS
         if len(self._open) - len(self._clients) >= strangers:
             return False
         self._open.add(connection)
@@ -243,8 +230,8 @@ class ViewServer:
         if not hmac.compare_digest(said, self._expected):
             connection.fault = "refused: a wrong token, or none"
             return connection.respond(HTTPStatus.UNAUTHORIZED, "a token is required\n")
-        if len(self._clients) >= self._limits.clients:
-            connection.fault = f"refused: there are {self._limits.clients} clients"
+        if len(self._clients) >= self.limits.clients:
+            connection.fault = f"refused: there are {self.limits.clients} clients"
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients\n")
         if SUBPROTOCOL not in ", ".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(", "):
             connection.fault = f"refused: speaks something else than {SUBPROTOCOL}"
@@ -254,9 +241,9 @@ class ViewServer:
 
     async def _serve(self, connection: ServerConnection) -> None:
         assert isinstance(connection, _Connection)
-        client = _Client(connection, self._limits)
-        if len(self._clients) >= self._limits.clients:
-            connection.fault = f"refused: there are {self._limits.clients} clients"
+        client = _Client(connection, self.limits)
+        if len(self._clients) >= self.limits.clients:
+            connection.fault = f"refused: there are {self.limits.clients} clients"
             return
         self._clients.add(client)
         self.facts["clients"] += 1
@@ -265,7 +252,7 @@ class ViewServer:
         except ConnectionClosed:
             pass  # it says why itself
         except asyncio.TimeoutError:
-            connection.fault = f"ended: took nothing for {self._limits.patience:g} s"
+            connection.fault = f"ended: took nothing for {self.limits.patience:g} s"
             connection.transport.abort()
         except ValueError as error:
             connection.fault = f"ended: sent {one_line(error)}"
@@ -389,20 +376,16 @@ class _Client:
 
 
 class _Connection(ServerConnection):
-    """A connection that says why it ended, and ends when a client sends too much or reads too little.
-
-    Attributes:
-        view_server: whose connection it is.
-        fault: why it is ended; empty if the client leaves by itself.
-        peer: address of the client.
-    """
+    """A connection that says why it ended, and ends when a client sends too much or reads too little."""
 
     view_server: ViewServer
+    # Why it is ended, empty if the client leaves by itself; address of the client.
     fault, peer = "ended: no handshake", "unknown"
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self._bytes = _Budget(self.view_server.most_bytes_per_second)
+        # Frames of WebSockets and all.
+        self._bytes = _Budget(self.view_server.limits.rate * MOST_FROM_CLIENT)
         peer = transport.get_extra_info("peername") or ("unknown", 0)
         self.peer = f"{peer[0]}:{peer[1]}"
         if not self.view_server.opened(self):

@@ -16,7 +16,7 @@ from hybrid.base.progress import no_progress
 from hybrid.render.image_files import write_srgb
 from hybrid.study.analysis import AnalysisSettings, analyse
 from hybrid.study.design import StudyMethod
-from hybrid.study.observations import answers
+from hybrid.study.observations import answers, conditions_of
 from hybrid.study.scaling import preference
 from hybrid.study.session import StudySession
 from hybrid.study.simulated_observers import (
@@ -192,4 +192,4 @@ def test_a_file_of_another_study_is_read_by_its_columns(tmp_path):
         )
     columns = {"observer": "who", "first": "a", "second": "b", "chosen": "won"}
     found, _ = answers(file, columns, (1.0, 5.0), keep_all=False)
-    assert found.conditions == {"x", "y"}
+    assert conditions_of(found) == {"x", "y"}

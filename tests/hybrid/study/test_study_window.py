@@ -39,6 +39,11 @@ def press(window, key: str) -> None:
     QTest.keyClicks(window.page, key)
 
 
+def phase_of(window):
+    """The phase of a trial that is shown now."""
+    return getattr(window.page, "phase", None)
+
+
 def answering(key="4"):
     """Presses a key at each question, and the button of each page."""
 
@@ -80,7 +85,7 @@ def test_pictures_are_those_of_the_clips_with_a_cross(acting, tmp_path):
     session = StudySession(tmp_path, made, 1)
 
     def act(window):
-        phase = window.phase
+        phase = phase_of(window)
         if phase is not None and phase["clip"] and phase["clip"] not in seen:
             image = window.grab().toImage()
             ratio, middle = image.devicePixelRatio(), image.rect().center()
@@ -165,7 +170,7 @@ def test_the_pointer_is_the_gaze_where_the_design_says_so(acting, tmp_path):
     answer = answering()
 
     def act(window):
-        if window.phase is not None:
+        if phase_of(window) is not None:
             none, corner = Qt.MouseButton.NoButton, QPointF(5, 5)
             keys = Qt.KeyboardModifier.NoModifier
             event = QMouseEvent(QEvent.Type.MouseMove, corner, corner, none, none, keys)
