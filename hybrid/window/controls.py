@@ -97,9 +97,8 @@ class Controls:
         }
         if playback is not None:
             initial[Control("play")] = int(playback.playing)
-            initial[_list("speed", tuple(f"{speed:g} x" for speed in _SPEEDS))] = _SPEEDS.index(
-                playback.speed
-            )
+            speeds = tuple(f"{speed:g} x" for speed in _SPEEDS)
+            initial[_list("speed", speeds)] = _SPEEDS.index(playback.speed)
             initial[Control("time", 0, _TIME_STEPS)] = 0
         initial[Control("keep FPS")] = int(target_fps is not None)
         initial[Control("target", _LEAST_FPS, _MOST_FPS, " FPS")] = round(target_fps or _DEFAULT_FPS)
@@ -147,11 +146,9 @@ class Controls:
         if control.kind != "slider":
             return control.name
         value = self.values[control.name]
-        return (
-            f"time {value / _TIME_STEPS:.2f}"
-            if control.name == "time"
-            else f"{control.name} {value}{control.unit}"
-        )
+        if control.name == "time":
+            return f"time {value / _TIME_STEPS:.2f}"
+        return f"{control.name} {value}{control.unit}"
 
     def is_enabled(self, name: str) -> bool:
         """Whether a control can be changed: not if the target chooses its value."""

@@ -59,9 +59,8 @@ def encoded(image: NDArray[np.uint8], quality: int | None) -> bytes:
     if quality is None:
         picture.save(out, "PNG", compress_level=1)
     else:
-        picture.save(
-            out, "JPEG", quality=quality, subsampling="4:2:0" if quality < _STILL_QUALITY else "4:4:4"
-        )
+        subsampling = "4:2:0" if quality < _STILL_QUALITY else "4:4:4"
+        picture.save(out, "JPEG", quality=quality, subsampling=subsampling)
     return out.getvalue()
 
 
@@ -142,8 +141,7 @@ class PageSession:
             kind = "image/png" if quality is None else "image/jpeg"
             message["frame"] = {"number": self._number, "type": kind, **disc}
             if quality is None:
-                loop = asyncio.get_running_loop()
-                picture = await loop.run_in_executor(None, encoded, shown.image, None)
+                picture = await asyncio.to_thread(encoded, shown.image, None)
             else:
                 # A millisecond here is less than a thread takes to get its turn beside the renderer's.
                 picture = encoded(shown.image, quality)
@@ -187,9 +185,9 @@ class PageSession:
 
         The message that travelled in the shortest time tells how far the clocks are apart.
         """
-        if type(timestamp) not in (int, float):
+        if isinstance(timestamp, bool) or not isinstance(timestamp, int | float):
             return None
-        seconds = float(timestamp) / 1000  # type: ignore[arg-type]
+        seconds = timestamp / 1000
         self._offset = min(self._offset, time.perf_counter() - seconds)
         return seconds + self._offset
 

@@ -8,7 +8,6 @@ import sys
 
 from compose.base.errors import UserError
 
-_INSTALL = "the window needs Qt: pip install 'foveated-hybrid-renderer[demo]'"
 # Debian packages with the libraries that Qt's plugin for X11 loads.
 _LIBRARIES = (
     "libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 "
@@ -28,7 +27,7 @@ def window_problem() -> str | None:
     try:
         import PySide6  # noqa: F401
     except ImportError:
-        return _INSTALL
+        return "the window needs Qt: pip install 'foveated-hybrid-renderer[demo]'"
     displays = ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
     if sys.platform == "linux" and not any(os.environ.get(name) for name in displays):
         return "there is no display; set DISPLAY, or use --browser"

@@ -196,10 +196,10 @@ class Remote:
                 raise ValueError("the server shows another forest now; start again")
         else:
             file = home() / "remote" / f"{welcome.forest}.safetensors"
-            if not await self._loop.run_in_executor(None, _is_whole, file, welcome):
+            if not await asyncio.to_thread(_is_whole, file, welcome):
                 content = await self._downloaded(connection, welcome)
                 write_whole(file, lambda part: part.write_bytes(content))
-            self.forest, self.tree = await self._loop.run_in_executor(None, _loaded, file)
+            self.forest, self.tree = await asyncio.to_thread(_loaded, file)
         self.welcome = welcome
         self._ready.set()
         self._say("")
