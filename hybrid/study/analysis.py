@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
@@ -16,7 +16,7 @@ from compose.base.errors import UserError
 from hybrid.study.comparisons import compare, holm, mean_votes
 from hybrid.study.observations import Choices, Ratings, without
 from hybrid.study.ratings import opinion_scores, screening
-from hybrid.study.scaling import PRIORS, Scale, agreement, count, outliers, pooled, scale
+from hybrid.study.scaling import PRIORS, Scale, agreement, outliers, pooled, scale
 
 Row = dict[str, Any]
 # All pairs of so many conditions are told in sentences; of more, those with the reference or the best one.
@@ -126,10 +126,8 @@ def _of_ratings(ratings: Ratings, settings: AnalysisSettings) -> Row:
 
 
 def _of_choices(choices: Choices, settings: AnalysisSettings) -> Row:
-    def scaled(some: Choices) -> list[Scale]:
-        return scale(some, settings.reference, settings.anchor, settings.prior)
-
-    scales = scaled(choices)
+    wanted = settings.reference, settings.anchor, settings.prior
+    scales = scale(choices, *wanted)
     agreements = agreement(choices, scales)
     suspects = outliers(agreements)
     dropped = suspects if settings.screen else []
@@ -144,7 +142,7 @@ def _of_choices(choices: Choices, settings: AnalysisSettings) -> Row:
     ]
     if dropped:
         choices = without(choices, dropped)
-        scales = scaled(choices)
+        scales = scale(choices, *wanted)
     mean = pooled(scales)
     told = [_told(found, choices, settings) for found in ([mean] if mean else []) + scales]
     return {"dropped": dropped, "screening": rows, "scales": told}
@@ -158,9 +156,12 @@ def _told(found: Scale, choices: Choices, settings: AnalysisSettings) -> Row:
         {"condition": names[n], "jod": float(found.jod[n]), "low": float(low[n]), "high": float(high[n])}
         for n in order
     ]
-    groups = [found.group] if found.group else np.unique(choices.group).tolist()
-    trials = _trials(choices, groups)
-    pairs = [_pair(found, (int(a), int(b)), trials, settings) for a, b in combinations(order, 2)]
+    # How often one condition was chosen over another.
+    here = choices.group == found.group if found.group else slice(None)
+    first, second, won = choices.first[here], choices.second[here], choices.chosen_first[here]
+    winners, losers = np.where(won, first, second), np.where(won, second, first)
+    chosen = Counter(zip(winners.tolist(), losers.tolist(), strict=True))
+    pairs = [_pair(found, (int(a), int(b)), chosen, settings) for a, b in combinations(order, 2)]
     for name in ("p", "equivalence_p", "binomial_p"):
         known = [row for row in pairs if row[name] is not None]
         for row, adjusted in zip(known, holm([row[name] for row in known]), strict=True):
@@ -171,39 +172,23 @@ def _told(found: Scale, choices: Choices, settings: AnalysisSettings) -> Row:
     return {"group": found.group, "observers": len(found.observers), "qualities": qualities, "pairs": pairs}
 
 
-def _trials(choices: Choices, groups: Sequence[str]) -> Counter[tuple[str, str]]:
-    """How often the first of two conditions was chosen over the second, in all of the groups."""
-    chosen: Counter[tuple[str, str]] = Counter()
-    for group in groups:
-        counts = count(choices, group)
-        names = counts.conditions
-        rows = zip(counts.pairs.tolist(), counts.wins.sum(0), counts.losses.sum(0), strict=True)
-        for (first, second), wins, losses in rows:
-            chosen[names[first], names[second]] += int(wins)
-            chosen[names[second], names[first]] += int(losses)
-    return chosen
-
-
 def _pair(
     found: Scale, pair: tuple[int, int], chosen: Counter[tuple[str, str]], settings: AnalysisSettings
 ) -> Row:
-    difference = found.difference(*pair, settings.level, settings.margin)
+    difference = found.difference(*pair, settings.level, settings.margin)._asdict()
     first, second = (found.conditions[n] for n in pair)
     wins = chosen[first, second]
     trials = wins + chosen[second, first]
     return {
         "first": first,
         "second": second,
-        "difference": difference.jod,
-        "low": difference.low,
-        "high": difference.high,
-        "p": difference.p,
+        "difference": difference.pop("jod"),
+        **difference,
         "trials": trials,
         "first_chosen": wins,
         "share": wins / trials if trials else None,
         "binomial_p": float(stats.binomtest(wins, trials).pvalue) if trials else None,
         "binomial_p_holm": None,
-        "equivalence_p": difference.equivalence_p,
     }
 
 
