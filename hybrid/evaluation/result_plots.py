@@ -25,12 +25,12 @@ _QUALITY = ("whole jod", "foveal jod", "foveal flip")
 _OVER_SIZES = ("resolution", "aspect")
 
 
-def new_axes() -> Axes:
-    """The axes of a new figure."""
+def new_axes(height: float = 4.2) -> Axes:
+    """The axes of a new figure of that height in inches."""
     # Not pyplot, which opens windows and has global state.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#ddd", lw=0.5)

@@ -174,8 +174,7 @@ def plots(found: Row) -> list[str]:
 
 
 def _bars(count: int) -> Axes:
-    axes = new_axes()
-    axes.get_figure().set_size_inches(7.2, 1.4 + 0.32 * count)  # type: ignore[union-attr]
+    axes = new_axes(1.4 + 0.32 * count)
     axes.invert_yaxis()
     axes.margins(y=0.5 / count)
     return axes

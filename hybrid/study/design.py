@@ -179,13 +179,12 @@ class Design:
         if len(names) < len(self.clips):
             raise ValueError("two clips have the same name")
         count = 1 if self.method is StudyMethod.GRADED else 2
-        for comparison in (*self.comparisons, *self.training, *self.attention):
-            if unknown := set(comparison.clips) - names:
-                raise ValueError(f"there is no clip {sorted(unknown)[0]}")
-            if len(comparison.clips) != count:
-                raise ValueError(f"a comparison of method {self.method.value} must have {count} clips")
-        if unknown := set(self.benchmarks.values()) - names:
-            raise ValueError(f"there is no clip {sorted(unknown)[0]}")
+        compared = (*self.comparisons, *self.training, *self.attention)
+        if any(len(one.clips) != count for one in compared):
+            raise ValueError(f"a comparison of method {self.method.value} must have {count} clips")
+        shown = {name for one in compared for name in one.clips} | set(self.benchmarks.values())
+        if unknown := shown - names:
+            raise ValueError(f"there is no clip {min(unknown)}")
         for clip in self.clips:
             if len(clip.marker) not in (0, 1, clip.frames):
                 raise ValueError(f"clip {clip.name}: must have one marker, or one for each frame")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 from PySide6.QtCore import QPointF, QRectF, Qt, QTimer
@@ -271,7 +270,13 @@ class StudyWindow(QWidget):
         background = ",".join(map(str, step.get("background", (16, 16, 16))))
         # First, because texts have their size from it.
         self.setStyleSheet(_STYLE % f"rgb({background})")
-        page = {"trial": self._trial, "form": self._form}.get(step["kind"], self._text)(step)
+        page: QWidget
+        if step["kind"] == "trial":
+            # Screens that do not exist report no rate.
+            rate = self.screen().refreshRate()
+            self.button, page = None, Player(self, self._session, 1 / rate if rate > 0 else 1 / 60)
+        else:
+            page = self._page(step)
         before = self._layout.currentWidget()
         self._layout.addWidget(page)
         self._layout.setCurrentWidget(page)
@@ -280,73 +285,64 @@ class StudyWindow(QWidget):
             before.deleteLater()
         page.setFocus()
 
-    def _trial(self, step: Step) -> QWidget:
-        self.button = None
-        # Screens that do not exist report no rate.
-        rate = self.screen().refreshRate()
-        return Player(self, self._session, 1 / rate if rate > 0 else 1 / 60)
+    def _page(self, step: Step) -> QWidget:
+        page, heading = QWidget(self), QLabel(step["title"])
+        heading.setObjectName("title")
+        entries: dict[str, QLineEdit | QComboBox] = {}
+        content = _form(step, entries) if step["kind"] == "form" else self._text(step["body"], page)
 
-    def _page(self, title: str) -> tuple[QWidget, QVBoxLayout]:
-        page = QWidget(self)
+        def reply() -> None:
+            values = {
+                name: entry.currentText() if isinstance(entry, QComboBox) else entry.text()
+                for name, entry in entries.items()
+            }
+            self.reply({"step": step["id"], "values": values})
+
+        end = step["kind"] == "end"
+        self.button = button = QPushButton("Close" if end else step["button"])
+        button.clicked.connect(self.close if end else reply)
+        if step.get("seconds"):
+            button.setEnabled(False)
+            QTimer.singleShot(round(1000 * step["seconds"]), button, lambda: button.setEnabled(True))
         layout = QVBoxLayout(page)
         layout.setSpacing(28)
         layout.addStretch()
-        heading = QLabel(title)
-        heading.setObjectName("title")
-        layout.addWidget(heading, alignment=Qt.AlignmentFlag.AlignCenter)
-        return page, layout
+        for widget in (heading, content, button):
+            layout.addWidget(widget, alignment=Qt.AlignmentFlag.AlignCenter)
+        layout.addStretch()
+        return page
 
-    def _text(self, step: Step) -> QWidget:
-        page, layout = self._page(step["title"])
-        body, screen = QLabel(step["body"], page), self.screen().size()
+    def _text(self, text: str, page: QWidget) -> QWidget:
+        """As high as the text; what does not fit on the screen is scrolled."""
+        body, screen = QLabel(text, page), self.screen().size()
         body.setWordWrap(True)
         body.ensurePolished()
         width = min(_COLUMN, screen.width() - 80)
-        # As high as the text; what does not fit on the screen is scrolled.
         scroll = QScrollArea(page)
         scroll.setWidget(body)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setFixedSize(width + 20, min(body.heightForWidth(width) + 4, round(0.6 * screen.height())))
-        layout.addWidget(scroll, alignment=Qt.AlignmentFlag.AlignCenter)
-        self._add_button(layout, step, dict)
-        return page
-
-    def _form(self, step: Step) -> QWidget:
-        page, layout = self._page(step["title"])
-        form, inputs = QFormLayout(), {}
-        for one in step["fields"]:
-            entry = QComboBox() if one["type"] == "choice" else QLineEdit()
-            if isinstance(entry, QComboBox):
-                entry.addItems(["", *one["choices"]])
-            inputs[one["name"]] = entry
-            form.addRow(one["label"], entry)
-        holder = QWidget()
-        holder.setLayout(form)
-        layout.addWidget(holder, alignment=Qt.AlignmentFlag.AlignCenter)
-        texts = lambda: {  # noqa: E731
-            name: entry.currentText() if isinstance(entry, QComboBox) else entry.text()
-            for name, entry in inputs.items()
-        }
-        self._add_button(layout, step, lambda: {"values": texts()})
-        return page
-
-    def _add_button(self, layout: QVBoxLayout, step: Step, ask: Callable[[], dict[str, Any]]) -> None:
-        end = step["kind"] == "end"
-        button = QPushButton("Close" if end else step["button"])
-        button.clicked.connect(self.close if end else lambda: self.reply({"step": step["id"], **ask()}))
-        if step.get("seconds"):
-            button.setEnabled(False)
-            QTimer.singleShot(round(1000 * step["seconds"]), button, lambda: button.setEnabled(True))
-        layout.addWidget(button, alignment=Qt.AlignmentFlag.AlignCenter)
-        layout.addStretch()
-        self.button = button
+        return scroll
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         if event.key() == Qt.Key.Key_Escape:
             self.close()
         elif self.button is not None and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Space):
             self.button.click()
+
+
+def _form(step: Step, entries: dict[str, QLineEdit | QComboBox]) -> QWidget:
+    """The fields of a form, which are added to the entries, by name."""
+    holder = QWidget()
+    form = QFormLayout(holder)
+    for one in step["fields"]:
+        entry = QComboBox() if one["type"] == "choice" else QLineEdit()
+        if isinstance(entry, QComboBox):
+            entry.addItems(["", *one["choices"]])
+        entries[one["name"]] = entry
+        form.addRow(one["label"], entry)
+    return holder
 
 
 def run_study_window(session: StudySession) -> None:

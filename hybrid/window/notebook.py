@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import atexit
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from compose.base.errors import UserError
@@ -66,13 +65,20 @@ def show(
     Examples:
         >>> hybrid.show("room")
     """
-    anywidget, loop = _requirements()
+    try:
+        from anywidget import AnyWidget
+
+        loop = asyncio.get_running_loop()
+    except ImportError as error:
+        raise UserError("hybrid.show requires: pip install 'foveated-hybrid-renderer[notebook]'") from error
+    except RuntimeError as error:
+        raise UserError("hybrid.show: this is no notebook; run hybrid demo SCENE") from error
     options = WindowOptions(size, 0.0, Path(folder), target_fps)
     file = None if forest is None else Path(forest)
     viewer = viewer_of(ShownScene(str(scene), backend=backend), file, settings, None, options)
     shell = PageShell(viewer)
 
-    class Window(anywidget.AnyWidget):  # type: ignore[misc, name-defined, unused-ignore]
+    class Window(AnyWidget):
         _esm = asset("window.js") + _WIDGET
         _css = asset("window.css")
 
@@ -118,15 +124,3 @@ class _Cell:
 
         self._session = self._shell.connect(send)
         self._sending = self._loop.create_task(self._session.run())
-
-
-def _requirements() -> tuple[ModuleType, asyncio.AbstractEventLoop]:
-    """What makes widgets, and the loop of the kernel; UserError if one is missing."""
-    try:
-        import anywidget
-    except ImportError as error:
-        raise UserError("hybrid.show requires: pip install 'foveated-hybrid-renderer[notebook]'") from error
-    try:
-        return anywidget, asyncio.get_running_loop()
-    except RuntimeError as error:
-        raise UserError("hybrid.show: this is no notebook; run hybrid demo SCENE") from error
