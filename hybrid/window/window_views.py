@@ -129,8 +129,9 @@ def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
 
 def _bytes_of(flat: Float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """sRGB bytes of linear radiance that is on the device: all that leaves it of a frame."""
-    value = dr.fma(srgb_curve(dr.fmin(dr.fmax(flat, 0), 1)), 255, 0.5)
-    return np.asarray(device_arrays().plain.UInt8(value)).reshape(shape)
+    plain = device_arrays().plain
+    value = dr.fma(srgb_curve(plain.Float(dr.fmin(dr.fmax(flat, 0), 1))), 255, 0.5)
+    return np.asarray(plain.UInt8(value)).reshape(shape)
 
 
 def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:
