@@ -28,8 +28,8 @@ from scipy.special import expit
 
 from splat.model.forest import Forest
 from splat.model.gaussians import SH_DC, Directional, Gaussians, apart
-from splat.model.layer import Layer
 from splat.model.points import Floats, Ints
+from splat.model.trees import Layer
 
 # Whole numbers of the type that a file has.
 Codes = NDArray[Any]

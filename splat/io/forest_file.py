@@ -32,9 +32,9 @@ from splat.model.dynamic_light import LightCourse
 from splat.model.forest import Forest
 from splat.model.gaussians import TENSORS, Blending, Directional, Gaussians
 from splat.model.hierarchy import Hierarchy
-from splat.model.layer import LABELS, Layer, check_forest
 from splat.model.learned_motion import LearnedMotion
 from splat.model.motion import Dynamics, NodeMotion
+from splat.model.trees import LABELS, Layer, check_forest
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
 _HIERARCHY, _CHILDREN = "hierarchy.", "children"

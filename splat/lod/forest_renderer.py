@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
@@ -40,16 +39,19 @@ from splat.lod.layer_images import (
     pack_atlas,
 )
 from splat.lod.node_selection import EntryTable, chosen
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
 from splat.model.gaussians import Blending
-from splat.raster.binning import Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
+from splat.model.points import Bits
+from splat.raster.binning import Boxed, Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
 from splat.raster.blending import ImageSplit, blend, jumps
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import PAIRS_AT_ONCE, Parts, rasterize_parts
 from splat.raster.projection import PIXEL_FILTER, Footprints, filtered, radiance_from_perceptual
 from splat.raster.records import Records
 from splat.raster.tiles import TILE, TileGrid
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt, UInt64
 
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
@@ -233,12 +235,12 @@ def splats_of_candidates(
     arrays: Arrays,
     table: EntryTable,
     footprints: Records,
-    found: Any,
-    count: Any,
+    found: UInt,
+    count: UInt,
     size: int,
     split: int,
     encoded: bool,
-) -> tuple[Any, ...]:
+) -> tuple[Boxed, UInt64, UInt]:
     """Candidates in samples of the atlas, boxed for its tiles, and their `run_lengths`.
 
     Args:
@@ -271,7 +273,7 @@ def _drawn_images(
     mixture: Mixture | None,
     over: bool,
     encoded: bool,
-) -> list[Any]:
+) -> list[Float]:
     """Images of candidates, the last one composited if there is a mixture."""
     runs, grid = candidates.runs(candidates.whole), candidates.grid
     split = ImageSplit.of(arrays, grid, heights)
@@ -292,34 +294,30 @@ def images_of_pairs(
     mixture: Mixture | None,
     over: bool,
     encoded: bool,
-) -> list[Any]:
+) -> list[Float]:
     """Images of sorted candidates, the last one composited if there is a mixture."""
     images = blend(arrays, blended, lists(arrays, pairs), split, jumping)
     return _finished(arrays, images, mixture, over, encoded)
 
 
 def _finished(
-    arrays: Arrays, images: list[Any], mixture: Mixture | None, over: bool, encoded: bool
-) -> list[Any]:
+    arrays: Arrays, images: list[Float], mixture: Mixture | None, over: bool, encoded: bool
+) -> list[Float]:
     """Images in linear radiance; of a mixture without the last one.
 
     That one is composited into the first one, or into one before all.
     """
     if encoded:
-        images = [_radiance(arrays, image) for image in images]
+        for number, image in enumerate(images):
+            # The fourth channel is opacity.
+            is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
+            images[number] = dr.select(is_colour, radiance_from_perceptual(image), image)
+        dr.eval(images)
     if mixture is None:
         return images
     *others, atlas = images
     frame = others.pop(0) if over else None
     return [composited(arrays, mixture, atlas, frame), *others]
-
-
-def _radiance(arrays: Arrays, image: Any) -> Any:
-    """An image of blended perceptual values in linear radiance; its fourth channel, opacity, is as it was."""
-    is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
-    radiance = dr.select(is_colour, radiance_from_perceptual(image), image)
-    dr.eval(radiance)
-    return radiance
 
 
 _chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)
@@ -354,7 +352,7 @@ class CachedLayerImages:
         cutoff = np.full((grid.rows + 1, grid.columns + 1), NYQUIST, np.float32)
         (self._atlas,) = renderer._drawn(camera, [part], cutoff)
 
-    def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
+    def composite(self, weights: Sequence[Lattice], wanted: Mask) -> SplatImage:
         """The wanted cells (rows, columns) of TILE pixels of the frame.
 
         The weights of the images, (rows + 1, columns + 1) at the corners of cells, sum to 1 in wanted cells.

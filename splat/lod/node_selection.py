@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -19,6 +19,9 @@ from splat.lod.layer_images import NYQUIST, AtlasEntry, Lattice
 from splat.raster.projection import PIXEL_FILTER, Footprints
 from splat.raster.records import RecordLayout, Records, records_before
 from splat.raster.tiles import TILE, between_corners
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt
 
 # Of an entry: its first candidate, and that one's number among all footprints; where its counts of cells and
 # the cut-off lie in the array; for its selection the variance of the widest filter in px^2, and pixels by
@@ -38,10 +41,9 @@ class EntryTable:
     records: Records  # of the entries, and behind them their counts of cells and the cut-offs
     capacity: int  # of lanes, for the candidates
     entries: int
-    rows: Any  # UInts of width 1: rows, columns of the corners of cells
-    columns: Any
-    candidates: Any  # UInt of width 1: how many there are
-    zero: Any  # UInt of width 1: Dr.Jit copies what is read at a literal index to an array of its own
+    corners: tuple[UInt, UInt]  # rows and columns of the corners of cells, of width 1
+    candidates: UInt  # how many there are
+    zero: UInt  # Dr.Jit copies what is read at a literal index to an array of its own
 
     @staticmethod
     def of_entries(
@@ -87,44 +89,46 @@ class EntryTable:
             bottom=[entry.tile_rows.stop for entry in entries],
         )
         records = records_before(arrays, _ENTRY, rows, counts, *lattices)
-        numbers = map(arrays.constant, (*cutoff.shape, candidates, 0))
-        return EntryTable(arrays, records, capacity(candidates), len(entries), *numbers)
+        down, across, *numbers = map(arrays.constant, (*cutoff.shape, candidates, 0))
+        return EntryTable(arrays, records, capacity(candidates), len(entries), (down, across), *numbers)
 
-    def of(self, candidate: Any) -> tuple[SimpleNamespace, Any]:
+    def of(self, candidate: UInt) -> tuple[SimpleNamespace, UInt]:
         """The entries that candidates (M,) belong to, and their numbers among all footprints."""
         UInt = self.arrays.plain.UInt
         number = self.zero
         for k in range(1, self.entries):
-            start = dr.reinterpret_array(UInt, self._at(self.zero + k * _FLOATS))
+            start = UInt(dr.reinterpret_array(UInt, self._at(self.zero + k * _FLOATS)))
             number = number + dr.select(candidate >= start, UInt(1), UInt(0))
         entry = self.records.at(number)
         return entry, candidate - entry.start + entry.node
 
-    def cells(self, entry: SimpleNamespace, box: tuple[Any, Any, Any, Any], valid: Any) -> Any:
+    def cells(self, entry: SimpleNamespace, box: tuple[Float, Float, Float, Float], valid: Bool) -> UInt:
         """(M,) number of an entry's cells in boxes, 0 in those that are not valid.
 
         Boxes are left, top, right and bottom in pixels, clipped to the frame.
         """
-        Float, Int, UInt = self.arrays.plain.Float, self.arrays.plain.Int, self.arrays.plain.UInt
-        across, down = Float(self.columns - 1), Float(self.rows - 1)
+        plain, (rows, columns) = self.arrays.plain, self.corners
+        across, down = plain.Float(columns - 1), plain.Float(rows - 1)
         inside = lambda position, count: dr.clip(position * (1 / TILE), 0, count)  # noqa: E731
-        left, top = UInt(inside(box[0], across)), UInt(inside(box[1], down))
-        right, bottom = UInt(dr.ceil(inside(box[2], across))), UInt(dr.ceil(inside(box[3], down)))
+        left, top = plain.UInt(inside(box[0], across)), plain.UInt(inside(box[1], down))
+        right, bottom = plain.UInt(dr.ceil(inside(box[2], across))), plain.UInt(dr.ceil(inside(box[3], down)))
 
-        def at(row: Any, column: Any) -> Any:
-            return dr.reinterpret_array(Int, self._at(entry.counts + row * self.columns + column, valid))
+        def at(row: UInt, column: UInt) -> UInt:
+            return plain.UInt(
+                dr.reinterpret_array(plain.UInt, self._at(entry.counts + row * columns + column, valid))
+            )
 
         return at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left)
 
-    def cutoff(self, entry: SimpleNamespace, x: Any, y: Any) -> Any:
+    def cutoff(self, entry: SimpleNamespace, x: Float, y: Float) -> Float:
         """The cut-off, linear between the corners of cells, at positions in pixels."""
-        return between_corners(self.arrays, self._at, entry.cutoff, self.rows, self.columns, x, y)
+        return between_corners(self.arrays, self._at, entry.cutoff, self.corners, x, y)
 
-    def _at(self, index: Any, valid: Any = True) -> Any:
+    def _at(self, index: UInt, valid: Bool | bool = True) -> Float:
         return dr.gather(self.arrays.plain.Float, self.records.tables[0], index, valid)
 
 
-def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Footprints]) -> Any:
+def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[UInt], Footprints]) -> Bool:
     """Mask of the candidates, up to the capacity, whose filtered box touches any cell of their entry."""
     candidate = dr.arange(arrays.plain.UInt, table.capacity)
     known = candidate < table.candidates
@@ -141,8 +145,8 @@ def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Foot
     return finite & (table.cells(entry, box, finite) > 0)
 
 
-def chosen(arrays: Arrays, table: EntryTable, footprints: Records) -> tuple[Any, Any]:
-    """The candidates that touch cells of their entries, in order, UInt (N,), and the number up to each."""
+def chosen(arrays: Arrays, table: EntryTable, footprints: Records) -> tuple[UInt, UInt]:
+    """The candidates that touch cells of their entries, in order, (N,), and the number up to each."""
     UInt = arrays.plain.UInt
     mask = touching(arrays, table, lambda index: Footprints(**vars(footprints.at(index))))
     one = dr.select(mask, UInt(1), UInt(0))

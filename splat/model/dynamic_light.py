@@ -24,8 +24,8 @@ from splat.model.gaussians import (
     perceptual_from_radiance,
     radiance_from_perceptual,
 )
-from splat.model.layer import Layer
 from splat.model.motion import multiplied, turned
+from splat.model.trees import Layer
 
 # Radiance below which a factor has nothing to change.
 _DARK = 1e-4

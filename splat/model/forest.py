@@ -20,9 +20,9 @@ from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.dynamic_light import LightCourse, SurfaceLight
 from splat.model.gaussians import Blending, Gaussians
 from splat.model.hierarchy import Hierarchy, HierarchyNodes, hierarchy_of
-from splat.model.layer import Layer, concatenated_layers
 from splat.model.motion import Dynamics
 from splat.model.points import rows_of, z_curve_order
+from splat.model.trees import Layer, concatenated_layers
 
 
 @dataclass(frozen=True)

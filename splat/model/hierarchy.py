@@ -1,7 +1,7 @@
 """A binary tree over one set of Gaussians, deep enough for a level of detail of its own in every direction.
 
 Inner nodes have the moments of their two children, as in hierarchical 3D Gaussians (Kerbl et al. 2024), whose
-cuts the perceptually guided levels of detail move; or they were fitted (`splat.training.hierarchy_fit`).
+cuts the perceptually guided levels of detail move; or they were fitted (`splat.training.picture_fit`).
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splat.model.gaussians import SH_DC, Gaussians, concatenated
-from splat.model.layer import Layer
-from splat.model.points import Floats, Ints, remoteness, rows_of
-from splat.model.trees import label_codes, merge
+from splat.model.points import Bits, Floats, Ints, remoteness, rows_of
+from splat.model.trees import Layer, label_codes, merge
 
 # Rounds of pairing per octave of size, and passes per round; neighbours among which a partner is sought.
 _PER_OCTAVE, _PASSES, _NEIGHBOURS = 2, 2, 8
@@ -258,3 +257,53 @@ def _batches(children: Ints, count: int) -> Iterator[tuple[int, int]]:
         end = start + int(later[0]) if len(later) else len(children)
         yield start, end
         start = end
+
+
+class CutTree:
+    """How N leaves and M inner nodes lie above each other.
+
+    Args:
+        parent: (N + M,) of each node, leaves first; -1 for roots.
+        leaves: N.
+
+    Attributes:
+        leaves, inner: N and M.
+        roots: how many nodes have no parent.
+    """
+
+    def __init__(self, parent: NDArray[np.int32], leaves: int):
+        self.leaves, self.inner = leaves, len(parent) - leaves
+        self.roots = int(np.count_nonzero(parent < 0))
+        # Of each node the inner node above it; roots lie below one more, which is always split.
+        self._above = np.where(parent < 0, self.inner, parent.astype(np.int64) - leaves)
+        above = self._above[leaves:]
+        depth = np.zeros(self.inner, dtype=np.int64)
+        # Children come before their parents.
+        deeper = np.flatnonzero(above < self.inner)
+        while len(deeper):
+            found = depth[above[deeper]] + 1
+            deeper = deeper[found != depth[deeper]]
+            depth[deeper] = depth[above[deeper]] + 1
+        order = np.argsort(depth, kind="stable")
+        self._by_depth: list[Ints] = np.split(order, np.flatnonzero(np.diff(depth[order])) + 1)
+
+    def falling(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Of M values of inner nodes the least at each node and those above it."""
+        found = np.append(values, np.float32(np.inf))
+        for nodes in self._by_depth:
+            found[nodes] = np.minimum(found[nodes], found[self._above[self.leaves + nodes]])
+        return found[:-1]
+
+    def closed(self, split: Bits) -> Bits:
+        """(M,) those of the inner nodes that are split above which all are split as well."""
+        found = np.append(split, True)
+        for nodes in self._by_depth:
+            found[nodes] &= found[self._above[self.leaves + nodes]]
+        return found[:-1]
+
+    def drawn(self, split: Bits) -> Bits:
+        """(N + M,) the nodes of the cut in which inner nodes (M,) are split, whichever they are."""
+        closed = self.closed(split)
+        found = np.append(closed, True)[self._above]
+        found[self.leaves :] &= ~closed
+        return found

@@ -14,6 +14,7 @@ from splat.model.gaussians import Gaussians
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bits = NDArray[np.bool_]
 
 
 def rows_of(tensor: torch.Tensor) -> Floats:

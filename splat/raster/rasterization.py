@@ -13,8 +13,16 @@ from compose.base.arrays import Arrays
 from splat.raster.blending import Compositing
 from splat.raster.differentiable import arrays_of
 from splat.raster.tiles import TileGrid
-from splat.raster.torch_blending import AT_ONCE, FlatSplats, blended
-from splat.raster.torch_projection import Limits, Screen, harmonic_colours, project, scaled_axes
+from splat.raster.torch_splats import (
+    AT_ONCE,
+    FlatSplats,
+    Limits,
+    Screen,
+    blended,
+    harmonic_colours,
+    project,
+    scaled_axes,
+)
 
 # As gsplat composites: alphas up to 0.999, and pixels end in front of what would make them opaque.
 _RULES = Compositing(highest_alpha=0.999, ends_pixels=True)
@@ -62,7 +70,7 @@ def rasterization(  # noqa: PLR0913 the arguments of gsplat
     rasterize_mode: str = "classic",
     channel_chunk: int = 32,
     segmented: bool = False,
-    **others: Any,
+    **others: object,
 ) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Renders Gaussians as gsplat's `rasterization` does (1.5), on a CPU or a GPU.
 
@@ -274,7 +282,7 @@ def _finished(
     return torch.cat([colours, depth], dim=-1)
 
 
-def _refuse(others: dict[str, Any]) -> None:
+def _refuse(others: dict[str, object]) -> None:
     for name, value in others.items():
         if name not in _REFUSED:
             raise TypeError(f"rasterization() has no argument {name!r}")

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
 from compose.image.colour import decibels
 from splat.model.gaussians import SH_DC
-from splat.model.layer import Layer
 from splat.model.motion import turned
 from splat.model.points import Floats, Ints, drawn_in, rows_of, z_curve_keys
-from splat.model.trees import label_codes
+from splat.model.trees import Layer, label_codes
 
 # Halvings of the cube around everything: a cell of the last ones is a fraction of a pixel in most frames.
 # Beyond this distance, in units of a place, cells grow with it: the sky is not to share them with all else.

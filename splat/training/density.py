@@ -26,8 +26,8 @@ from scipy.spatial import cKDTree
 from compose.base.files import under
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.gaussians import SH_DC, Gaussians
-from splat.model.layer import Layer, concatenated_layers, static_layer
 from splat.model.motion import Dynamics, turned
+from splat.model.trees import Layer, concatenated_layers, static_layer
 from splat.raster.projection import NEAR
 from splat.training.initialization import seed_at
 from splat.training.training_view import TrainingView

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from splat.model.gaussians import Gaussians, written
-from splat.model.layer import BACKGROUND, Layer
 from splat.model.motion import Dynamics
+from splat.model.trees import BACKGROUND, Layer
 from splat.raster.differentiable import contributions
 from splat.training.training_view import TrainingView
 
