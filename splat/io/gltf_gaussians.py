@@ -22,13 +22,8 @@ from scipy.spatial.transform import Rotation
 from compose.base.errors import UserError
 from compose.base.files import write_whole
 from compose.camera.camera import sphere_directions
-from splat.model.gaussians import (
-    Blending,
-    Gaussians,
-    perceptual_from_radiance,
-    radiance_from_perceptual,
-)
-from splat.model.points import quaternions_xyzw, rows_of
+from splat.model.gaussians import Blending, Gaussians, perceptual_from_radiance, radiance_from_perceptual
+from splat.model.points import Floats, quaternions_xyzw, rows_of
 from splat.raster.projection import sh_basis
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -43,7 +38,6 @@ _LEAST_SCALE = 1e-20
 _SHEAR, _EQUAL = 1e-3, 1e-6
 # Directions to which harmonics are fitted, and Gaussians at once.
 _DIRECTIONS, _AT_ONCE = 256, 1 << 14
-Floats = NDArray[np.float64]
 
 
 def gaussians_from(

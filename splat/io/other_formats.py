@@ -2,6 +2,10 @@
 
 The last are converted by the library gaussforge. It is native code, which may crash on a damaged file, so it
 works in a process of its own.
+
+Streamed SOG (PlayCanvas, version 1) is a folder that viewers load in chunks at several levels of detail:
+lod-meta.json has the chunks, and a spatial tree whose leaves name the chunk of each level; 0_0/, 0_1/, ...,
+LEVEL_LEAF, are unbundled SOG, meta.json and WebP images. Level 0 is the finest.
 """
 
 from __future__ import annotations
@@ -19,13 +23,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line, reading
 from compose.base.files import json_text, require_size_below, whole_folder, write_whole
 from splat.io.gltf_gaussians import save_glb
 from splat.io.ply import load_ply, save_ply
 from splat.model.gaussians import Gaussians
+from splat.model.points import Ints, rows_of
 
 # The ends of their names: of those that are written here, and of those that gaussforge writes and calls so.
 _WRITERS = {"glb": save_glb, "ply": save_ply}
@@ -133,8 +137,6 @@ _MOST_IN_LEAF = 1 << 15
 # Standard deviations to which the bounds of a leaf reach.
 _REACH = 3.0
 
-Points = NDArray[np.float64]
-
 
 def save_streamed(
     folder: Path,
@@ -167,11 +169,11 @@ class _Writer:
 
     def __init__(self, part: Path, levels: Sequence[Gaussians], progress: Callable[[int, int], None] | None):
         self._part, self._levels, self._progress = part, levels, progress
-        self._means: list[Points] = [level.means.detach().numpy().T.astype(np.float64) for level in levels]
+        self._means = [rows_of(level.means) for level in levels]
         self.names: list[str] = []
         self._leaves = self._written = 0
 
-    def node(self, chosen: list[NDArray[np.int64]]) -> dict[str, Any]:
+    def node(self, chosen: list[Ints]) -> dict[str, Any]:
         """The tree over some Gaussians of each level, by their indices; its chunks are written."""
         finest = self._means[0][chosen[0]]
         if len(finest) <= _MOST_IN_LEAF or not np.ptp(finest, axis=0).any():
@@ -190,14 +192,18 @@ class _Writer:
         )
         return {"bound": {"min": low, "max": high}, "children": children}
 
-    def _leaf(self, chosen: list[NDArray[np.int64]]) -> dict[str, Any]:
+    def _leaf(self, chosen: list[Ints]) -> dict[str, Any]:
         lows, highs, entries = [], [], {}
         for number, own in enumerate(chosen):
             if not len(own):
                 continue
             gaussians = self._levels[number].select(torch.from_numpy(own))
             name = f"{number}_{self._leaves}"
-            _write_chunk(self._part / name, gaussians)
+            with tempfile.TemporaryDirectory() as temporary:
+                packed = Path(temporary) / "chunk.sog"
+                save_gaussians(packed, gaussians)
+                with zipfile.ZipFile(packed) as archive:
+                    archive.extractall(self._part / name)
             entries[str(number)] = {"file": len(self.names), "offset": 0, "count": len(own)}
             self.names.append(f"{name}/meta.json")
             means, reach = self._means[number][own], _REACH * gaussians.longest.numpy()[:, None]
@@ -209,12 +215,3 @@ class _Writer:
         self._leaves += 1
         bound = {"min": np.min(lows, axis=0).tolist(), "max": np.max(highs, axis=0).tolist()}
         return {"bound": bound, "lods": entries}
-
-
-def _write_chunk(folder: Path, gaussians: Gaussians) -> None:
-    """Writes Gaussians as unbundled SOG."""
-    with tempfile.TemporaryDirectory() as temporary:
-        packed = Path(temporary) / "chunk.sog"
-        save_gaussians(packed, gaussians)
-        with zipfile.ZipFile(packed) as archive:
-            archive.extractall(folder)

@@ -43,8 +43,7 @@ _REFUSALS = (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeE
 def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
     """Writes tensors by name and metadata, which JSON can hold, atomically, with a checksum of both.
 
-    Raises:
-        UserError: the file cannot be written.
+    UserError if the file cannot be written.
     """
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     digest = _checksum(contiguous, json.dumps(metadata))
@@ -63,8 +62,7 @@ def load_tensors(
     Both are of one and the same file, also if another process replaces it meanwhile. Without its tensors, a
     large file takes no longer than a small one.
 
-    Raises:
-        UserError: the file is missing, corrupt (`advice` says what to do then) or of another version.
+    UserError if the file is missing, corrupt (`advice` says what to do then) or of another version.
     """
     for _ in range(_MOST_TRIES):
         before = _version(path)
@@ -136,12 +134,11 @@ def packed(tensors: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], d
     return {name: _packed(tensor) for name, tensor in tensors.items()}, kinds
 
 
-def unpacked(tensors: dict[str, torch.Tensor], kinds: Any) -> dict[str, torch.Tensor]:
+def unpacked(tensors: dict[str, torch.Tensor], kinds: object) -> dict[str, torch.Tensor]:
     """The tensors that `packed` made these of, from the type and shape of each, as read from a file.
 
-    Raises:
-        ValueError: a type or a shape is none, the content does not have it, or it takes too much memory.
-        KeyError: there is no type and shape of a tensor.
+    ValueError if a type or a shape is none, the content does not have it, or it takes too much memory;
+    KeyError if there is no type and shape of a tensor.
     """
     if not isinstance(kinds, dict):
         raise ValueError("types and shapes of packed tensors are missing")
@@ -177,7 +174,7 @@ def _unpacked(name: str, content: torch.Tensor, kind: torch.dtype, shape: list[i
     return (raw != 0 if kind == torch.bool else raw.view(kind)).reshape(shape)
 
 
-def _kind(name: str, declared: Any) -> tuple[torch.dtype, list[int]]:
+def _kind(name: str, declared: object) -> tuple[torch.dtype, list[int]]:
     """Type and shape, as a file declares them."""
     if not isinstance(declared, list) or len(declared) != 2:
         raise ValueError(f"{name} has no type and shape")

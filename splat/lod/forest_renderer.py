@@ -1,9 +1,8 @@
 """Renders several layers of a forest, each at its own sampling rate, and composites them into one frame.
 
-A layer is drawn where it has a weight in the frame, at the sampling rate that is needed there, and the layer
-images are composited by their weights, pixel by pixel. Fov-GS instead blends the Gaussians of two layers in
-one list, each with a part of its opacity, which lets the coarse ones hide the fine ones: half-way between two
-layers that costs 2.7 dB on `room` (29.2 against 31.8 dB at 256 x 256).
+Layer images are composited by their weights, pixel by pixel. Fov-GS instead blends the Gaussians of two
+layers in one list, each with a part of its opacity, which lets the coarse ones hide the fine ones: half-way
+between two layers that costs 2.7 dB on `room` (29.2 against 31.8 dB at 256 x 256).
 
 All layer images share one projection, one sort and one rasterization: they lie one above the other in an
 atlas. An image at rate r has one sample per 2^r x 2^r pixels, at their centre.
@@ -125,8 +124,7 @@ class ForestRenderer:
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
 
-        Raises:
-            ValueError: the forest has no such layer.
+        ValueError if the forest has no such layer.
         """
         grid = TileGrid(camera.width, camera.height)
         image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
@@ -162,21 +160,26 @@ class ForestRenderer:
         nodes = int(end[table.capacity - 1])
         if not nodes:
             return black
-        columns, mask = max(entry.tiles.shape[1] for entry in entries), _tiles_of(parts)
+        # The tiles of the atlas that are drawn.
+        columns = max(entry.tiles.shape[1] for entry in entries)
+        mask = np.zeros((sum(part.height for part in parts), columns), dtype=bool)
+        for entry in entries:
+            mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
         # So many tiles of the rasterizer lie along the side of one of the atlas.
         shown = TileGrid(max(1, camera.width >> rate), max(1, camera.height >> rate))
         split = _FINE_SPLIT if shown.columns * shown.rows <= _FEW_TILES else 1
         grid = TileGrid(columns * TILE, len(mask) * TILE, TILE // split)
         sizes = arrays.constant(nodes), capacity(nodes), split, self._encoded
         splats, *runs = _splats(arrays, table, footprints, found, *sizes)
-        mask = mask.repeat(split, axis=0).repeat(split, axis=1)
-        heights = [split * part.height for part in parts]
-        mixture = None
+        mask, mixture = mask.repeat(split, axis=0).repeat(split, axis=1), None
         if mixes:
             top = _rows_of(parts[:-1])
             placed = [replace(entry, top=entry.top - top) for entry in parts[-1].entries]
             mixture = Mixture.of(arrays, placed, grid.padded_width, camera)
-        candidates = Candidates(arrays, splats, grid, mask, None, runs)
+        candidates, heights = (
+            Candidates(arrays, splats, grid, mask, None, runs),
+            [split * part.height for part in parts],
+        )
         images = _drawn_images(arrays, candidates, heights, mixture, over, self._encoded)
         size, firsts = (camera.width, camera.height), [part.entries[0].first_row * TILE for part in parts]
         shapes = [(grid.padded_width, CHANNELS, first) for first in firsts]
@@ -219,16 +222,6 @@ class ForestRenderer:
 def _rows_of(parts: Sequence[AtlasPart]) -> int:
     """Rows of samples that parts of an atlas take."""
     return TILE * sum(part.height for part in parts)
-
-
-def _tiles_of(parts: Sequence[AtlasPart]) -> Mask:
-    """(rows, columns) the tiles of an atlas that are drawn."""
-    entries = [entry for part in parts for entry in part.entries]
-    columns = max(entry.tiles.shape[1] for entry in entries)
-    mask = np.zeros((sum(part.height for part in parts), columns), dtype=bool)
-    for entry in entries:
-        mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
-    return mask
 
 
 def splats_of_candidates(

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from compose.camera.camera import Camera, between_steps
@@ -25,6 +24,7 @@ from splat.model.gaussians import (
     radiance_from_perceptual,
 )
 from splat.model.motion import multiplied, turned
+from splat.model.points import Bits, Floats, Ints
 from splat.model.trees import Layer
 
 # Radiance below which a factor has nothing to change.
@@ -35,8 +35,7 @@ _DARK = 1e-4
 class LightCourse:
     """Factors on the radiance of M nodes of a forest.
 
-    Raises:
-        ValueError: a tensor has the wrong shape or type, or a sided node is none of the M.
+    ValueError if a tensor has the wrong shape or type, or a sided node is none of the M.
     """
 
     nodes: torch.Tensor  # (M,) int64, their indices in the forest, ascending
@@ -69,9 +68,8 @@ class LightCourse:
         kept = (self.nodes >= first) & (self.nodes < end)
         position = torch.cumsum(kept, 0) - 1
         sided = kept[self.sided]
-        own, behind = self.factors[..., kept], self.behind[..., sided]
-        which = position[self.sided[sided]]
-        return LightCourse(self.nodes[kept], own, which, behind, self.normals[:, sided])
+        both = self.factors[..., kept], position[self.sided[sided]], self.behind[..., sided]
+        return LightCourse(self.nodes[kept], *both, self.normals[:, sided])
 
 
 def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
@@ -160,7 +158,7 @@ class SurfaceLight:
         """How far instances are moved apart, in the fourth axis in which neighbours are sought."""
         return 4 * float(np.ptp(self.means.numpy(), axis=1).max()) + 1.0
 
-    def _keys(self, means: torch.Tensor, instance: torch.Tensor) -> NDArray[np.float64]:
+    def _keys(self, means: torch.Tensor, instance: torch.Tensor) -> Floats:
         """(N, 4) points among which those of other instances are never the nearest."""
         own = instance.clamp(min=-1).double() * self._apart
         return torch.cat([means.detach().double(), own[None]]).T.numpy()
@@ -169,12 +167,12 @@ class SurfaceLight:
     def _tree(self) -> cKDTree:
         return cKDTree(self._keys(self.means, self.instance))
 
-    def _neighbours(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _neighbours(self, count: int) -> tuple[Floats, Ints]:
         """(P, K) distances and indices of the K nearest points of each one, itself first; K <= `count`."""
         return self._tree.query(self._tree.data, k=np.arange(1, min(count, len(self)) + 1))
 
     @cached_property
-    def _around(self) -> tuple[NDArray[np.float64], torch.Tensor]:
+    def _around(self) -> tuple[Floats, torch.Tensor]:
         """(P,) gap to other points, and (P,) index of a point of the other side, the point itself if none."""
         away, near = self._neighbours(_AROUND)
         gap = away[:, min(_NEIGHBOUR, away.shape[1] - 1)]
@@ -185,7 +183,7 @@ class SurfaceLight:
         return gap, torch.from_numpy(np.where(opposite.any(axis=1), first, np.arange(len(self))))
 
     @cached_property
-    def _unevenness(self) -> NDArray[np.float64]:
+    def _unevenness(self) -> Floats:
         """(P,) mean squared change of the perceived light per distance from a point, over many times."""
         sampled = self.factors[:: max(1, len(self.factors) // _SAMPLED)]
         perceived = sampled.float().numpy() ** np.float32(1 / _GAMMA)
@@ -203,16 +201,13 @@ class SurfaceLight:
     def unevenness(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
         """(N,) how much light differs around nodes with centres (3, N) at rest, of instances (N,), over time.
 
-        The squared difference of the perceived factors between two places, over their distance. Where edges
-        of shadows pass, it does not depend on that distance: the farther the places are apart, the longer
-        an edge lies between them.
+        The squared difference of the perceived factors between two places, over their distance, on which it
+        does not depend where edges of shadows pass.
         """
         nearest, within = self._nearest(means, instance)
         return torch.from_numpy(np.where(within, self._unevenness[nearest], 0)).float()
 
-    def _nearest(
-        self, means: torch.Tensor, instance: torch.Tensor
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _nearest(self, means: torch.Tensor, instance: torch.Tensor) -> tuple[Ints, Bits]:
         """(N,) the nearest point of each node, and (N,) whether it is near enough to tell its light."""
         away, nearest = self._tree.query(self._keys(means, instance))
         return nearest, away <= _REACH * self._around[0][nearest]
@@ -262,15 +257,14 @@ class NodeLight:
         self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
     ) -> Gaussians:
         """Shown nodes of the layer, by their indices (M,), in their light; torch can differentiate them."""
-        changed, factor = self._factor(self._near[:, index], rest, shown, camera, time)
-        return in_light(shown, changed, factor)
+        return in_light(shown, *self._factor(self._near[:, index], rest, shown, camera, time))
 
     def in_usual_light(self, layer: Layer, shown: Gaussians, camera: Camera, time: float) -> Layer:
         """Nodes at rest that have the radiance seen by a camera, with that in usual light instead."""
         near = self.surface.near(layer.gaussians.means, layer.semantic)
         changed, factor = self._factor(near, layer.gaussians, shown, camera, time)
-        factor = 1 / factor.clamp(min=_LEAST)
-        return replace(layer, gaussians=in_light(layer.gaussians, changed, factor))
+        usual = in_light(layer.gaussians, changed, 1 / factor.clamp(min=_LEAST))
+        return replace(layer, gaussians=usual)
 
     @torch.no_grad()
     def _factor(

@@ -36,12 +36,11 @@ _LARGER = 1.1
 class Hierarchy:
     """Which nodes are joined: N leaves come first, then M inner nodes, children before their parents.
 
+    ValueError if there are inner nodes, but not M.
+
     Attributes:
         children: (M, 2) int32, indices among all N + M nodes, the larger child first.
         inner: M inner nodes that were fitted; None if they have the moments of their children.
-
-    Raises:
-        ValueError: there are inner nodes, but not M.
     """
 
     children: torch.Tensor
@@ -57,8 +56,7 @@ class Hierarchy:
     def parents(self, leaves: int) -> Ints:
         """(N + M,) the parent of each node, over N leaves; -1 for roots.
 
-        Raises:
-            ValueError: the pairs do not make trees over so many leaves.
+        ValueError if the pairs do not make trees over so many leaves.
         """
         children = self.children.numpy().astype(np.int64)
         number = leaves + np.arange(len(children))
@@ -84,11 +82,9 @@ class Hierarchy:
             else:
                 merged = self.inner.part(start, end)
             size[count + start : count + end] = _size(merged, size[pairs])
-            away = [
-                np.linalg.norm(rows_of(merged.means) - rows_of(nodes.means[:, side]), axis=1)
-                for side in pairs.T
-            ]
-            radius[count + start : count + end] = (np.stack(away, axis=1) + radius[pairs]).max(axis=1)
+            away = rows_of(merged.means) - rows_of(nodes.means[:, torch.from_numpy(pairs)])  # (2, P, 3)
+            reach = np.linalg.norm(away, axis=2).T + radius[pairs]
+            radius[count + start : count + end] = reach.max(axis=1)
             nodes = concatenated([nodes, merged])
         is_heir = np.ones(len(size), dtype=bool)
         is_heir[children[:, 1]] = False
@@ -102,7 +98,7 @@ class HierarchyNodes:
 
     gaussians: Gaussians  # N + M
     parent: NDArray[np.int32]  # (N + M,) -1 for roots
-    is_heir: NDArray[np.bool_]  # (N + M,) whether it is the larger child, or a root
+    is_heir: Bits  # (N + M,) whether it is the larger child, or a root
     size: NDArray[np.float32]  # (N + M,) standard deviation along the longest axis; parents' are larger
     radius: NDArray[np.float32]  # (N + M,) within which of its centre all centres below a node lie
     leaves: int  # N
@@ -177,7 +173,6 @@ class _Building:
 
     @property
     def joined(self) -> int:
-        """How many nodes have a parent, of twice the number of leaves."""
         return sum(map(len, self.pairs))
 
     @property

@@ -36,7 +36,7 @@ class Deformation:
 
 
 class Heads(torch.nn.Module):
-    """Turns features of points into their deformation, at first none; heads may have a hidden layer."""
+    """Turns features (N, width) of points into their deformation, at first none."""
 
     def __init__(self, width: int, hidden: bool):
         super().__init__()
@@ -48,8 +48,7 @@ class Heads(torch.nn.Module):
             self.add_module(name, torch.nn.Sequential(*before, last))
 
     def forward(self, features: Tensor) -> Deformation:
-        """The deformation of N points from their features (N, width)."""
-        return Deformation(*(getattr(self, name)(features).T for name in ("shifts", "turns", "growths")))
+        return Deformation(*(head(features).T for head in self.children()))
 
 
 # Frequencies of the positional encoding: of places, and of times as for synthetic scenes.
@@ -115,38 +114,28 @@ class HexPlane(torch.nn.Module):
         super().__init__()
         self.register_buffer("low", low.float())
         self.register_buffer("high", high.float())
-        self.planes = torch.nn.ParameterList(
-            _plane(a, b, (space, space, space, _TIME)) for space in _SPACE for a, b in _PAIRS
-        )
+        self.planes = torch.nn.ParameterList()
+        for space in _SPACE:
+            for _, other in _PAIRS:
+                # (1, F, cells of the second axis, of the first); over time, 1 at first as if nothing moved.
+                shape = 1, _FEATURES, _TIME if other == 3 else space, space
+                self.planes.append(torch.ones(shape) if other == 3 else torch.rand(shape) * 0.4 + 0.1)
         self.mix = torch.nn.Linear(_FEATURES * len(_SPACE), _WIDTH)
         self.heads = Heads(_WIDTH, hidden=True)
 
     def forward(self, means: Tensor, time: float) -> Deformation:
-        """How Gaussians with means (3, N) are deformed at a time from 0 to 1."""
         size = (self.high - self.low).clamp(min=1e-6)
         places = 2 * (means.T - self.low) / size - 1
         at = torch.cat([places, means.new_full((means.shape[1], 1), 2 * time - 1)], dim=1)  # (N, 4)
         levels = []
         for level in range(len(_SPACE)):
             product = means.new_ones(means.shape[1], _FEATURES)
-            for number, (a, b) in enumerate(_PAIRS):
-                plane = self.planes[level * len(_PAIRS) + number]
-                product = product * _sampled(plane, at[:, a], at[:, b])
+            for number, pair in enumerate(_PAIRS):
+                plane, grid = self.planes[level * len(_PAIRS) + number], at[:, list(pair)][None, None]
+                sampled = functional.grid_sample(plane, grid, align_corners=True, padding_mode="border")
+                product = product * sampled[0, :, 0].T
             levels.append(product)
         return self.heads(torch.relu(self.mix(torch.cat(levels, dim=1))))
-
-
-def _plane(a: int, b: int, cells: tuple[int, ...]) -> torch.nn.Parameter:
-    """(1, F, cells of b, cells of a) features: those over time are 1 at first, as if nothing moved."""
-    shape = 1, _FEATURES, cells[b], cells[a]
-    return torch.nn.Parameter(torch.ones(shape) if b == 3 else torch.rand(shape) * 0.4 + 0.1)
-
-
-def _sampled(plane: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """(N, F) features of a plane at coordinates a and b (N,), -1 to 1, linear between cells."""
-    grid = torch.stack([a, b], dim=1)[None, None]  # (1, 1, N, 2)
-    found = functional.grid_sample(plane, grid, align_corners=True, padding_mode="border")
-    return found[0, :, 0].T
 
 
 Field = DeformationNetwork | HexPlane
@@ -157,16 +146,14 @@ _ANY_NUMBER = 2**31 - 1
 class LearnedMotion:
     """Deforms all nodes of any number of instances by a field in the coordinates of the nodes."""
 
+    # Points (3, A) of instances (A,), at rest: what is shown comes to rest beside the nearest.
+    anchors: tuple[Tensor, Tensor] | None = None
+
     def __init__(self, kind: FieldKind, field: Field):
         self.kind, self.field = kind, field
-        self._anchors: tuple[torch.Tensor, torch.Tensor] | None = None
-
-    def anchor(self, points: torch.Tensor, instance: torch.Tensor) -> None:
-        """Tells points (3, A) of instances (A,), at rest: what is shown comes to rest beside the nearest."""
-        self._anchors = points, instance
 
     @staticmethod
-    def begun(kind: FieldKind, low: torch.Tensor, high: torch.Tensor, seed: int) -> LearnedMotion:
+    def begun(kind: FieldKind, low: Tensor, high: Tensor, seed: int) -> LearnedMotion:
         """A motion before training, for nodes in a box with corners (3,)."""
         with torch.random.fork_rng():
             torch.manual_seed(seed)
@@ -177,8 +164,7 @@ class LearnedMotion:
     def restored(tensors: dict[str, torch.Tensor]) -> LearnedMotion:
         """The motion whose `tensors` these are.
 
-        Raises:
-            KeyError, ValueError, RuntimeError: they are those of no field.
+        KeyError, ValueError, RuntimeError if they are those of no field.
         """
         (kind,) = (FieldKind(name) for name in {name.split(".", 1)[0] for name in tensors})
         motion = LearnedMotion.begun(kind, torch.zeros(3), torch.ones(3), 0)
@@ -212,8 +198,8 @@ class LearnedMotion:
         """
         with torch.no_grad():
             shifts = self.shown(gaussians, instance, time).means - gaussians.means
-            if self._anchors is not None:
-                points, of = self._anchors
+            if self.anchors is not None:
+                points, of = self.anchors
                 moved = self.field(points, time).shifts
                 for number in torch.unique(of).tolist():
                     own, here = of == number, torch.nonzero(instance == number)[:, 0]

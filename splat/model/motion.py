@@ -67,8 +67,7 @@ class Poses:
 class NodeMotion:
     """The courses of L instances of P pieces, from T poses each.
 
-    Raises:
-        ValueError: a tensor has the wrong shape or type, or pieces do not sum up.
+    ValueError if a tensor has the wrong shape or type, or pieces do not sum up.
     """
 
     # (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1; two or
@@ -195,8 +194,7 @@ def _between(a: torch.Tensor, b: torch.Tensor, share: float) -> torch.Tensor:
     b = torch.where((a * b).sum(dim=1, keepdim=True) < 0, -b, b)
     angle = torch.acos((a * b).sum(dim=1, keepdim=True).clamp(-1, 1))
     near = angle < 1e-6
-    whole = torch.where(near, torch.ones_like(angle), torch.sin(angle))
-    one = torch.where(near, torch.full_like(angle, 1 - share), torch.sin((1 - share) * angle) / whole)
-    other = torch.where(near, torch.full_like(angle, share), torch.sin(share * angle) / whole)
+    whole = torch.where(near, 1, torch.sin(angle))
+    one, other = (torch.where(near, part, torch.sin(part * angle) / whole) for part in (1 - share, share))
     mixed = one * a + other * b
     return mixed / mixed.norm(dim=1, keepdim=True)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.special import expit
+from scipy.special import expit, log_expit
 
 from splat.model.gaussians import (
     SH_DC,
@@ -31,11 +31,7 @@ LABELS = ("parent", "semantic", "dynamic")
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer of a forest: N nodes, each a Gaussian.
-
-    Raises:
-        ValueError: a tensor has the wrong shape.
-    """
+    """One layer of a forest: N nodes, each a Gaussian; ValueError if a tensor has the wrong shape."""
 
     gaussians: Gaussians  # N Gaussians
     # (N,) int32, index in the next coarser layer; -1 in the coarsest, whose nodes are the roots.
@@ -91,8 +87,7 @@ def concatenated_layers(parts: list[Layer]) -> Layer:
 def check_forest(layers: list[Layer]) -> None:
     """Checks that in layers, coarsest first, each node has a parent and one or two children with its labels.
 
-    Raises:
-        ValueError: says which node is wrong, and how. Layers are counted from 1, the coarsest.
+    A ValueError says which node is wrong, and how. Layers are counted from 1, the coarsest.
     """
     if not layers:
         raise ValueError("the forest has zero layers")
@@ -135,7 +130,9 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     has.
     """
     # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
-    weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
+    weight_a, weight_b = (
+        log_expit(rows_of(g.opacity_logits)) + _log_surface(rows_of(g.log_scales)) for g in (a, b)
+    )
     share = expit(weight_a - weight_b)
     mean_a, mean_b = rows_of(a.means), rows_of(b.means)
     mean = share[:, None] * mean_a + (1 - share)[:, None] * mean_b
@@ -161,10 +158,6 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     if a.directional is None and b.directional is None:
         return merged
     return merged.turning(a.turns | b.turns)
-
-
-def _log_opacity(gaussians: Gaussians) -> Floats:
-    return -np.logaddexp(0, -gaussians.opacity_logits.detach().numpy().astype(np.float64))
 
 
 def _log_surface(log_sides: Floats) -> Floats:

@@ -121,7 +121,7 @@ class Candidates:
         found: the splats, as boxed for the grid's tiles.
         wanted: (rows, columns) the tiles to rasterize; all by default.
         order: (N,) indices of the splats from near to far; by default they are in that order.
-        runs: of the whole grid, if they are known, as `run_lengths` gives them.
+        runs: of the whole grid, if known (`run_lengths`).
     """
 
     def __init__(
@@ -297,9 +297,8 @@ def keys(
     """For each of `size` candidates the key that it is sorted by and its splat; the first one of each run.
 
     The key is the number of the tile, or that of all tiles for a candidate that need not be drawn, and for
-    what lies behind the last one. `wanted` is the mask of tiles, or None, and `pairs` the number of
-    candidates, both in memory. Where there are more pairs than 32 bits count, first ones wrap: whoever asks
-    must split the window.
+    what lies behind the last one. `wanted` is the mask of tiles, and `pairs` the number of candidates. Where
+    there are more pairs than 32 bits count, first ones wrap: whoever asks must split the window.
     """
     UInt = arrays.plain.UInt
     # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
@@ -327,8 +326,8 @@ def keys(
 def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: UInt, tile_y: UInt, side: int) -> Bool:
     """Whether a splat is visible anywhere between the outermost pixel centres of a tile.
 
-    The box of a long diagonal splat holds many tiles that its ellipse misses. The largest value of the
-    Gaussian over a rectangle lies at its centre or on one of the two edges next to the centre.
+    The largest value of the Gaussian over a rectangle lies at its centre or on one of the two edges next to
+    the centre.
     """
     number = arrays.plain.Float
     left, top = number(tile_x * side) + 0.5 - splat.x, number(tile_y * side) + 0.5 - splat.y

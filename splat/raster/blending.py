@@ -7,9 +7,6 @@ alpha_m = min(0.99, opacity exp(-d^T Sigma'^-1 d / 2)), or 0 where that is below
 
 A block stops once all of its pixels transmit less than 1e-4: what lies behind could change them by less
 than 1e-4 of its radiance.
-
-On the CPU, each lane goes by itself from one splat that its block shows to the next. On a GPU, lanes stay
-together.
 """
 
 from __future__ import annotations
@@ -64,12 +61,7 @@ def rasterize(
 ) -> list[Float]:
     """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
-    Args:
-        blended: the splats, as `Boxed` has them.
-        split: images of all rows of tiles, which lie one above the other.
-        images: what the tiles are drawn into, flat: padded height x padded width x 4, rows from the top; new
-            ones by default.
-        rules: how splats are composited.
+    The tiles are drawn into images, flat: padded height x padded width x 4, rows from the top; or new ones.
     """
     size = bins.lists.pairs
     if not size:
@@ -81,7 +73,7 @@ def rasterize(
 
 
 def stays_together(arrays: Arrays) -> bool:
-    """Whether lanes do not go by themselves."""
+    """Whether lanes do not go by themselves, one from splat to splat that its block shows, as on a CPU."""
     return arrays.backend != "llvm"
 
 
@@ -214,11 +206,9 @@ def sums_of_bins(
     """What the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
     Args:
-        blended, bins, image: as given to and returned by `rasterize`.
-        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
-            opacity is taken to be zero unless the rules say that it is given.
+        blended, bins, image, rules: as given to and returned by `rasterize`.
+        gradient: of the loss by the image; that by the opacity counts only if the rules say so.
         sums: those over tiles further up, and to the left in the same row, to which they are added.
-        rules: those that the image was rendered by.
     """
     if not bins.lists.pairs:
         return sums or no_sums(arrays, len(blended), rules)
@@ -280,10 +270,7 @@ _sums = Frozen(sums_of_lists, by_size=True)
 
 @dataclass(frozen=True)
 class _Walk:
-    """A walk along the lists of tiles.
-
-    On a GPU, where lanes stay together, they add in their warp.
-    """
+    """A walk along the lists of tiles."""
 
     arrays: Arrays  # this, lists, image, gradient: as for `sums_of_lists`
     lists: Lists
@@ -296,7 +283,6 @@ class _Walk:
 
     @property
     def layout(self) -> RecordLayout:
-        """How the sums of a pair lie in memory."""
         if self.rules.absolute:
             return _WITH_ABSOLUTE
         return _ONE_BY_ONE if self.shown is None else _IN_PACKETS
@@ -346,11 +332,10 @@ def _block_sums(
 
     They are of dL/dpower times 1, u, v, u^2, u v, v^2, where power = ln alpha and u and v are those of
     `Blocks.log2_alphas`, of dL/dcolour times the weight of the pixel, three channels, and, if wanted, of
-    |dL/dx| and |dL/dy|, x and y the splat's centre, as far as they come from the pixel.
+    |dL/dx| and |dL/dy|, x and y the splat's centre.
 
     Args:
-        flow: derivative of the loss by the radiance, three channels per pixel, and by the opacity if the
-            rules have it.
+        flow: derivatives of the loss by each pixel's channels.
         transmittance: per pixel in front of the splat; on return, behind it.
         behind: per pixel the light from the splat and from behind it, weighted by `flow`; on return, only
             that from behind it.

@@ -145,13 +145,17 @@ def render_differentiable(
 def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Float]:
     """The rows of tensors (..., N), without derivatives, which start where vectors are aligned.
 
-    They share the memory of tensors whose rows all do so, as those of a multiple of 16 Gaussians; others are
-    copied. From rows elsewhere, Dr.Jit would compile other kernels for other numbers of Gaussians. Loads by
-    index need no alignment, but take four times as long as the copy.
+    They share the memory of tensors whose rows all do so; others are copied, since Dr.Jit would compile other
+    kernels for them. Loads by index need no alignment, but take four times as long as the copy.
     """
+
+    def is_aligned(rows: torch.Tensor) -> bool:
+        starts = rows.data_ptr(), rows.stride(0) * rows.element_size()
+        return rows.stride(1) == 1 and not any(start % (4 * ALIGNED_FLOATS) for start in starts)
+
     count = tensors[0].shape[-1]
     flat = [tensor.detach().reshape(-1, count) for tensor in tensors]
-    others = [k for k, rows in enumerate(flat) if not _is_aligned(rows)]
+    others = [k for k, rows in enumerate(flat) if not is_aligned(rows)]
     if others:
         stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
         sizes = [len(flat[k]) for k in others]
@@ -167,18 +171,11 @@ def detached(arrays: Arrays, tensor: torch.Tensor) -> Float:
     return dr.detach(arrays.from_torch(tensor), preserve_type=False)
 
 
-def _is_aligned(rows: torch.Tensor) -> bool:
-    """Whether rows (R, N) start where vectors are aligned, each in one piece."""
-    starts = rows.data_ptr(), rows.stride(0) * rows.element_size()
-    return rows.stride(1) == 1 and not any(start % (4 * ALIGNED_FLOATS) for start in starts)
-
-
 def arrays_of(what: str, tensors: Iterable[torch.Tensor]) -> Arrays:
     """Array types for the device that all tensors are on.
 
-    Raises:
-        ValueError: they are on several devices, or on one that is neither CPU nor CUDA.
-        UserError: they are on the CPU, and there is no LLVM that Dr.Jit can use.
+    ValueError if they are on several devices, or on one that is neither CPU nor CUDA; UserError if they
+    are on the CPU, and there is no LLVM that Dr.Jit can use.
     """
     devices = {tensor.device for tensor in tensors}
     if len(devices) > 1:
@@ -387,8 +384,7 @@ def contributions(
     """(N, C) sums of what N Gaussians contribute to pixels of a view, times weights (H, W, C) of these.
 
     To a pixel, Gaussian m contributes c_m = alpha_m prod_{n<m} (1 - alpha_n), over the sum of that over all
-    Gaussians: Eq. 1 with the product up to m - 1 and the inverse covariance, without which it would not be
-    what is blended. It is the derivative of a rendered pixel by the colour of the Gaussian.
+    Gaussians: the derivative of a rendered pixel by the colour of the Gaussian.
     """
     found = torch.zeros(len(gaussians), weights.shape[2])
     if not len(gaussians):

@@ -5,9 +5,8 @@ Zwicker et al., EWA Splatting (2002). The low-pass filter and its compensation a
 is everything else for Gaussians that are blended by its rules (`Blending.DISPLAY`).
 
 Any finite parameters give finite splats and gradients: no determinant is formed, which would leave float32's
-range where standard deviations come near 1e9 px, and none of the terms that are subtracted can cancel where
-a Gaussian is long and thin. A Gaussian with a parameter that is not a number gives a splat with one, which
-touches no tile.
+range, and no terms that are subtracted can cancel where a Gaussian is long and thin. A Gaussian with a
+parameter that is not a number gives a splat with one, which touches no tile.
 """
 
 from __future__ import annotations
@@ -62,8 +61,8 @@ _LARGEST_EXPONENT = 80.0
 REACH = 3.33
 # Vectors no longer than this have no direction.
 _SHORTEST = 1e-30
-# Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr), 1.6e9 cd / m^2. Its square,
-# summed over all pixels of a frame and multiplied by what the gradient needs, still fits float32.
+# Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr). Its square, summed over all
+# pixels of a frame and multiplied by what the gradient needs, still fits float32.
 LARGEST_RADIANCE = 1e12
 _LARGEST_PERCEPTUAL = srgb_power(LARGEST_RADIANCE)
 
@@ -135,18 +134,14 @@ class CameraNumbers:
 
 
 def project(parameters: Parameters, camera: CameraNumbers, low_pass: Float | float) -> Splats:
-    """Projects Gaussians onto a camera's film and filters them, differentiably.
-
-    The low-pass is the variance in px^2 that is added to each 2D covariance; by the rules of 3D Gaussian
-    splatting, at least 0.3.
-    """
+    """Projects Gaussians onto a camera's film and filters them, as `footprints` and `filtered` do."""
     return filtered(footprints(parameters, camera), low_pass, camera.encoded)
 
 
 def filtered(raw: Footprints, low_pass: Float | float, encoded: bool) -> Splats:
     """The footprints blurred by a Gaussian of that variance in px^2; each keeps its total light.
 
-    `encoded` footprints are dilated already, and only what that lacks is added.
+    `encoded` footprints are dilated by 0.3 px^2 already, and only what that lacks is added.
     """
     variance = dr.opaque(type(raw.opacity), low_pass) if isinstance(low_pass, float) else low_pass
     if encoded:
@@ -205,8 +200,13 @@ def _covariance(
     parameters: Parameters, row_x: list[Float], row_y: list[Float]
 ) -> tuple[Float, Float, Float, Float]:
     """2D covariance xx, xy, yy in px^2, and its determinant over yy."""
+    w, x, y, z = _normalized(parameters.rotations)
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
     # Rows of M = J W R S; the 2D covariance is M M^T.
-    rotation = _rotation_matrix(parameters.rotations)
     mx_row, my_row = [], []
     for j, log_scale in enumerate(parameters.log_scales):
         axis_x, axis_y = (_sum(row[i] * rotation[i][j] for i in range(3)) for row in (row_x, row_y))
@@ -234,11 +234,7 @@ def directional_constant(
 
 
 def view_position(means: list[Float], view: CameraNumbers) -> Position:
-    """Positions of centres on the film.
-
-    Pixels per unit of length are an upper bound over all directions for the linearized projection of
-    `footprints`.
-    """
+    """Positions of centres on the film; pixels per unit of length are an upper bound over all directions."""
     (fx, fy), (cx, cy), (limit_x, limit_y) = view.focal, view.centre, view.limits
     vx, vy, vz = _in_camera(view.rotation, _from_eye(means, view.eye))
     seen = vz > NEAR
@@ -310,16 +306,11 @@ def _sum(values: Iterable[Real]) -> Real:
 
 
 def _from_eye(means: list[Float], eye: list[Float64]) -> list[Float64]:
-    """Vectors from the eye to centres in float64.
-
-    In float32 the difference is lost where both are far from the origin, and their rotation is accurate to
-    6e-8 of the distance only: a quarter of a pixel in a frame of 4,096 pixels over 0.1 degrees.
-    """
+    """Vectors from the eye to centres, in float64: in float32 they are lost far from the origin."""
     return [type(eye[0])(mean) - position for mean, position in zip(means, eye, strict=True)]
 
 
 def _in_camera(rotation: list[Float64], from_eye: list[Float64]) -> list[Float]:
-    """Rotates vectors of `_from_eye` into the camera's axes; the result is float32."""
     x, y, z = from_eye
     number: Any = dr.float32_array_t(type(x))
     return [
@@ -338,16 +329,6 @@ def _normalized(vector: list[Real]) -> list[Real]:
     # A zero quaternion, or a Gaussian at the camera itself, has no direction but must not become NaN.
     inverse = dr.rsqrt(dr.maximum(_sum(v * v for v in scaled), 1e-20))
     return [v * inverse for v in scaled]
-
-
-def _rotation_matrix(quaternion: list[Float]) -> list[list[Float]]:
-    """Rows of the rotation by a quaternion (w, x, y, z) of any length."""
-    w, x, y, z = _normalized(quaternion)
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
 
 
 def perceptual_radiance(sh: list[list[Float]], direction: list[Real]) -> list[Real]:

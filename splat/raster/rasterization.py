@@ -102,9 +102,8 @@ def rasterization(  # noqa: PLR0913 the arguments of gsplat
     Torch differentiates both images by means, quats, scales, opacities, colors, viewmats, Ks, backgrounds and
     `meta["means2d"]`, once. Kernels compute in float32.
 
-    Of gsplat 1.5.3, these differ: with `sparse_grad`, gradients have the same values, but are dense;
-    `sh_degree` is 3 at most; `absgrad` takes three channels at most; `meta` has no lists of tiles. Gaussians
-    with the same depth are blended in the order of their indices, as there.
+    Unlike in gsplat 1.5.3, gradients are dense with `sparse_grad`, too; `sh_degree` is 3 at most; `absgrad`
+    takes three channels at most; `meta` has no lists of tiles.
 
     Args:
         means: (..., N, 3) centres. Dimensions in front are batches, the same for all tensors.
@@ -115,25 +114,20 @@ def rasterization(  # noqa: PLR0913 the arguments of gsplat
             (..., N, K, 3) or (..., C, N, K, 3), to which 0.5 is added.
         viewmats: (..., C, 4, 4) world to camera, x to the right, y down, z forward.
         Ks: (..., C, 3, 3) focal lengths and principal points in pixels.
-        width: of the images in pixels.
-        height: of the images in pixels.
-        near_plane: least depth at which Gaussians are drawn.
-        far_plane: greatest depth at which Gaussians are drawn.
+        width, height: of the images in pixels.
+        near_plane, far_plane: depths between which Gaussians are drawn.
         radius_clip: Gaussians that reach no more pixels from their centre than this are not drawn.
         eps2d: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
         sh_degree: 0 to 3, harmonics up to which count; None if `colors` are colours.
         packed: whether `meta` lists what is drawn, M pairs of camera and Gaussian, in place of all; the
             images are the same.
-        tile_size: changes nothing here, and nor do `sparse_grad`, `channel_chunk` and `segmented`.
+        tile_size, sparse_grad, channel_chunk, segmented: change nothing here.
         backgrounds: (..., C, D) colours behind all Gaussians; depths have none. Black by default.
         render_mode: "RGB" colours; "D" sums of depths times weights; "ED" these over the opacity, expected
             depths; "RGB+D", "RGB+ED" both, depth last.
-        sparse_grad: see `tile_size`.
         absgrad: whether backward writes `meta["means2d"].absgrad`, sums over pixels of the absolute values of
             their derivatives (Ye et al., AbsGS, 2024).
         rasterize_mode: "classic", or "antialiased": opacities make up for what the filter adds.
-        channel_chunk: see `tile_size`.
-        segmented: see `tile_size`.
         others: `camera_model`, `covars`, `distributed`, `with_ut`, `with_eval3d`, `rolling_shutter`,
             `viewmats_rs` and the coefficients of distortion, at their defaults only.
 
@@ -190,37 +184,29 @@ class _Pairs:
         by_image = drawn.reshape(images, count).sum(dim=1)
         return _Pairs(drawn.shape, drawn.flatten().nonzero()[:, 0], by_image.tolist())
 
-    def listed(self, values: torch.Tensor) -> torch.Tensor:
-        """Values (..., C, N, ...) as they are if all are listed; (M, ...) otherwise."""
-        return values if self.index is None else self.rows(values)
-
     def rows(self, values: torch.Tensor) -> torch.Tensor:
         """(M, ...) what is listed of values (..., C, N, ...), in one list."""
         flat = values.flatten(0, len(self.shape) - 1)
         return flat if self.index is None else flat.index_select(0, self.index)
 
-    def ids(self) -> dict[str, torch.Tensor | None]:
-        """(M,) numbers of batch, camera and Gaussian of each pair; None if all are listed."""
-        *_, cameras, count = self.shape
-        if self.index is None:
-            return dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
-        image = self.index // count
-        ids = image // cameras, image % cameras, self.index % count
-        return dict(zip(("batch_ids", "camera_ids", "gaussian_ids"), ids, strict=True))
-
 
 def _meta(screen: Screen, pairs: _Pairs) -> dict[str, Any]:
     """What `rasterization` tells of the Gaussians on the screen."""
-    *batches, cameras, _ = pairs.shape
-    lists = {
+    *batches, cameras, count = pairs.shape
+    found: dict[str, Any] = {
         "radii": screen.radii,
         "means2d": screen.means,
         "depths": screen.depth,
         "conics": screen.conics,
         "opacities": screen.opacity,
     }
-    numbers = {"n_batches": math.prod(batches), "n_cameras": cameras}
-    return pairs.ids() | {name: pairs.listed(values) for name, values in lists.items()} | numbers
+    ids: list[torch.Tensor | None] = [None] * 3
+    if pairs.index is not None:
+        found = {name: pairs.rows(values) for name, values in found.items()}
+        image = pairs.index // count
+        ids = [image // cameras, image % cameras, pairs.index % count]
+    found |= dict(zip(("batch_ids", "camera_ids", "gaussian_ids"), ids, strict=True))
+    return found | {"n_batches": math.prod(batches), "n_cameras": cameras}
 
 
 def _images(

@@ -52,6 +52,9 @@ class RecordLayout:
         >>> layout.spare
         1
 
+    ValueError if a load is not a power of two, the slots do not fit the loads, or an integer is not a
+    slot of width 1.
+
     Args:
         loads: floats per packet load, powers of two.
         integers: slots that hold a UInt each, stored as its bits.
@@ -60,10 +63,6 @@ class RecordLayout:
     Attributes:
         slots, packets: which of a record's floats each slot is, and what each load brings.
         spare: number of floats that no slot uses.
-
-    Raises:
-        ValueError: a load is not a power of two, the slots do not fit the loads, or an integer is not a slot
-            of width 1.
     """
 
     def __init__(self, loads: Sequence[int], integers: Sequence[str] = (), **slots: int):

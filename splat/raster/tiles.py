@@ -40,8 +40,7 @@ class GridNumbers:
 class TileGrid:
     """A frame divided into tiles; those at the right and at the bottom may reach beyond it.
 
-    Raises:
-        UserError: the frame has more than 65,536 tiles along a side, or 2^30 pixels.
+    UserError if the frame has more than 65,536 tiles along a side, or 2^30 pixels.
     """
 
     width: int  # width, height: frame in pixels

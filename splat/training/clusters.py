@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
 from compose.image.colour import decibels
@@ -52,8 +51,7 @@ class HitTree:
 
     Hits of different labels, and of surfaces that face different ways, are never in one cell.
 
-    Raises:
-        ValueError: there is no hit.
+    ValueError if there is no hit.
     """
 
     def __init__(self, hits: Layer):
@@ -120,25 +118,21 @@ class HitTree:
     def psnr_of(self, count: int) -> float:
         """dB of hits in the mean colour of their leaf, on the perceptual scale, with about `count` leaves."""
         found = int(np.searchsorted(self._counts, count, side="right"))
-        error = float(self._left[max(found - 1, 0)]) / (len(self._keys) * _COLOURS)
-        return decibels(error)
-
-    def _leaves(self, worth: float) -> Ints:
-        """First hit of each leaf, in order."""
-        found, divided = [], np.ones(len(self._levels[0].first), dtype=bool)
-        for number, level in enumerate(self._levels):
-            here = divided if number == 0 else divided[level.parent]
-            divides = here & (self._worth[number] > worth) if number < _DEPTH else np.zeros_like(here)
-            found.append(level.first[here & ~divides])
-            divided = divides
-        return np.sort(np.concatenate(found))
+        return decibels(float(self._left[max(found - 1, 0)]) / (len(self._keys) * _COLOURS))
 
     def seeds(self, count: int, rng: np.random.Generator) -> Layer:
         """Up to `count` hits, about as many, one of each leaf at random, in the mean colour of its leaf.
 
         A leaf is where it was hit, also among leaves and bars, where the mean of hits is in the air.
         """
-        first = self._leaves(self.worth_of(count))
+        worth, leaves = self.worth_of(count), []
+        divided = np.ones(len(self._levels[0].first), dtype=bool)
+        for number, level in enumerate(self._levels):
+            here = divided if number == 0 else divided[level.parent]
+            divided = here & (self._worth[number] > worth) if number < _DEPTH else np.zeros_like(here)
+            leaves.append(level.first[here & ~divided])
+        # First hit of each leaf, in order.
+        first = np.sort(np.concatenate(leaves))
         hits = np.diff(first, append=len(self._keys))
         if len(first) > count:
             # Not even one for each label and way to face.
@@ -153,7 +147,7 @@ class HitTree:
         return replace(seeds, gaussians=replace(seeds.gaussians, sh=sh))
 
 
-def _kind(hits: Layer) -> NDArray[np.int64]:
+def _kind(hits: Layer) -> Ints:
     """(M,) a number for each label and each of the six ways that a surface may face."""
     rotations = hits.gaussians.rotations.double()
     along = torch.tensor([[0.0], [0.0], [1.0]], dtype=torch.float64).expand(3, len(hits))

@@ -114,7 +114,7 @@ _PARALLEL = 1e-4
 def with_guesses(
     views: list[TrainingView], points: Floats | None = None, bounds: tuple[float, float] | None = None
 ) -> list[TrainingView]:
-    """Views with a guess of each distance that is not known.
+    """Views with a guess of each distance that is not known, and normals towards them.
 
     Args:
         views: of the world; distances are NaN where they are unknown, inf where nothing is.
@@ -122,8 +122,18 @@ def with_guesses(
     """
     if not views:
         return []
-    source = _source(views, points, bounds)
-    return [_guessed(view, partial(source, number)) for number, view in enumerate(views)]
+    source, found = _source(views, points, bounds), []
+    for number, view in enumerate(views):
+        height, width = view.distance.shape
+        stride = max(1, int(np.ceil(np.sqrt(height * width / _GUESSES))))
+        rows, columns = (np.minimum(np.arange(0, n, stride) + stride // 2, n - 1) for n in (height, width))
+        some = source(number, (rows[:, None] * width + columns).ravel()).reshape(len(rows), len(columns))
+        guess = np.repeat(np.repeat(some, stride, axis=0), stride, axis=1)[:height, :width]
+        rays = view.rays(np.arange(height * width)).reshape(height, width, 3)
+        distance = np.where(np.isnan(view.distance), guess, view.distance).astype(np.float32)
+        normal = (-rays).astype(np.float32)
+        found.append(replace(view, distance=distance, normal=normal, guessed=True))
+    return found
 
 
 # Distances (M,) along the rays through pixels of a view, from its number and row-major indices (M,).
@@ -161,18 +171,6 @@ def focus(cameras: list[Camera]) -> tuple[Floats, float]:
     middle, apart = positions.mean(axis=0), float(positions.std(axis=0).max())
     distance = 4 * apart or 1.0
     return middle + axes.mean(axis=0) * distance, distance
-
-
-def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Floats]) -> TrainingView:
-    """A view with a guess of the distance of each pixel that shows anything, and normals towards it."""
-    height, width = view.distance.shape
-    stride = max(1, int(np.ceil(np.sqrt(height * width / _GUESSES))))
-    rows, columns = (np.minimum(np.arange(0, n, stride) + stride // 2, n - 1) for n in (height, width))
-    found = guess((rows[:, None] * width + columns).ravel()).reshape(len(rows), len(columns))
-    whole = np.repeat(np.repeat(found, stride, axis=0), stride, axis=1)[:height, :width]
-    rays = view.rays(np.arange(height * width)).reshape(height, width, 3)
-    distance = np.where(np.isnan(view.distance), whole, view.distance).astype(np.float32)
-    return replace(view, distance=distance, normal=(-rays).astype(np.float32), guessed=True)
 
 
 def _among_points(

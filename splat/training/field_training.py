@@ -77,7 +77,7 @@ def register(motion: LearnedMotion, views: Sequence[TrainingView], steps: int, s
         torch.stack(parts).sum().backward()
         adam.step()
     adam.zero_grad(set_to_none=True)
-    motion.anchor(points.T, instance)
+    motion.anchors = points.T, instance
 
 
 def _clouds(

@@ -213,9 +213,11 @@ class LayerTraining:
         """Leaves harmonics to those nodes whose radiance is seen to turn, by a share of what is visible."""
         count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
         chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
-        views = [View(self.views[index].camera, self.views[index].time) for index in sorted(chosen)]
-        # Half as many pixels along each side.
-        views = [view.resized(view.camera.width // 2, view.camera.height // 2) for view in views]
+        views = []
+        for index in sorted(chosen):
+            camera = self.views[index].camera
+            whole = View(camera, self.views[index].time)
+            views.append(whole.resized(camera.width // 2, camera.height // 2))
         gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown, least)
         self._tree = replace(self._tree, gaussians=gaussians)
         self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
@@ -288,13 +290,8 @@ class LayerTraining:
             self._order = tensors["order"]
 
 
-# Which Gaussians need harmonics above the constant one: those whose radiance is seen to turn with the view.
-# 3D Gaussian splatting gives them to all, most of which use them to fit noise. Here a Gaussian keeps them if
-# what training views see of it varies by more than an 8-bit display shows; the mean of what others lose goes
-# to their constant one.
-
-# Standard deviation over views, on the perceptual scale, that a Gaussian's radiance must have: one step of an
-# 8-bit display. Blended with others that do not vary with it, less of that is left in a pixel.
+# Standard deviation over views, on the perceptual scale, that a Gaussian's radiance must have to keep
+# harmonics above the constant one: one step of an 8-bit display. Others would use them to fit noise.
 _LEAST_DEVIATION = 1 / 255
 
 

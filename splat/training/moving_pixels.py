@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from torch.nn.functional import avg_pool2d
 
 from compose.camera.camera import Camera
+from splat.model.points import Bits, Floats, Ints
 
 # Added to radiance before its logarithm is taken.
 _DARK = 0.01
@@ -44,7 +45,7 @@ class Observation:
         return np.log(np.maximum(self.radiance, 0) + _DARK).astype(np.float32)
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Bits:
         """(H, W) whether anything is seen at a distance."""
         return np.isfinite(self.distance) & (self.distance > 0)
 
@@ -67,7 +68,7 @@ class Observation:
         return _depths(minimum_filter(self.inverse_depth, 3))
 
     @cached_property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Floats:
         """(H, W, 3) world positions of what is seen; NaN where nothing is."""
         rays = self.camera.rays(self.camera.pixel_centres()).reshape(*self.distance.shape, 3)
         distance = np.where(self.known, self.distance.astype(np.float64), np.nan)
@@ -84,7 +85,7 @@ _STEP = 2.0
 _ALIKE = 0.08
 
 
-def surfaces_of(points: NDArray[np.float64], appearance: NDArray[np.float32]) -> NDArray[np.int64]:
+def surfaces_of(points: Floats, appearance: NDArray[np.float32]) -> Ints:
     """(H, W) number of the surface that each pixel shows, from 0; -1 for none.
 
     Neighbouring pixels show the same surface if one lies in the plane of the other, or nearly, and they look
@@ -97,11 +98,9 @@ def surfaces_of(points: NDArray[np.float64], appearance: NDArray[np.float32]) ->
     links = []
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         way = points[b] - points[a]
-        across = np.minimum(
-            np.abs((normal[a] * way).sum(axis=-1)) / size[a], np.abs((normal[b] * way).sum(axis=-1)) / size[b]
-        )
+        across = [np.abs((normal[side] * way).sum(axis=-1)) / size[side] for side in (a, b)]
         alike = np.abs(appearance[b] - appearance[a]).max(axis=-1) < _ALIKE
-        joined = known[a] & known[b] & alike & (across < _STEP)
+        joined = known[a] & known[b] & alike & (np.minimum(*across) < _STEP)
         links.append((number[a][joined], number[b][joined]))
     first, second = (np.concatenate(part) for part in zip(*links, strict=True))
     graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(number.size, number.size))
@@ -109,7 +108,7 @@ def surfaces_of(points: NDArray[np.float64], appearance: NDArray[np.float32]) ->
     return np.where(known, found.reshape(height, width), -1).astype(np.int64)
 
 
-def _planes(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _planes(points: Floats) -> tuple[Floats, Floats]:
     """(H, W, 3) unit normals, of the flatter side of each pixel, and (H, W) sizes of pixels."""
     steps = []
     for axis in (0, 1):
@@ -147,24 +146,22 @@ _MOST_OF_IT = 0.3
 _Votes = NDArray[np.int32]
 
 
-def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
+def moving_pixels(observations: Sequence[Observation]) -> list[Bits]:
     """(H, W) for each frame of a scene, which pixels show something that moves: nothing at a single time."""
-    return [_refined(observations, index) for index in range(len(observations))]
-
-
-def _refined(frames: Sequence[Observation], index: int) -> NDArray[np.bool_]:
-    """The votes on a frame, without lone pixels, and over the whole of surfaces most of which moves."""
-    gone, there, changed, compared = _votes(frames, index)
-    has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
-    moves = median_filter((gone > _GONE * (gone + there)) | has_changed, 3)
-    if not moves.any():
-        return moves
-    frame = frames[index]
-    surface = surfaces_of(frame.points, frame.appearance)
-    known = surface >= 0
-    pixels = np.maximum(np.bincount(surface[known]), 1)
-    share = np.bincount(surface[known], weights=moves[known]) / pixels
-    return moves | (known & (share >= _MOST_OF_IT)[surface])
+    found = []
+    for index, frame in enumerate(observations):
+        gone, there, changed, compared = _votes(observations, index)
+        has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
+        # Without lone pixels, and over the whole of surfaces most of which moves.
+        moves = median_filter((gone > _GONE * (gone + there)) | has_changed, 3)
+        if moves.any():
+            surface = surfaces_of(frame.points, frame.appearance)
+            known = surface >= 0
+            pixels = np.maximum(np.bincount(surface[known]), 1)
+            share = np.bincount(surface[known], weights=moves[known]) / pixels
+            moves |= known & (share >= _MOST_OF_IT)[surface]
+        found.append(moves)
+    return found
 
 
 def _votes(frames: Sequence[Observation], index: int) -> list[_Votes]:
@@ -199,9 +196,7 @@ def _look_through(frame: Observation, other: Observation, gone: _Votes, there: _
     there.ravel()[pixels[is_there]] += 1
 
 
-def _projected(
-    frame: Observation, other: Observation
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def _projected(frame: Observation, other: Observation) -> tuple[Ints, Floats, Floats]:
     """Row-major indices (M,) of those points that lie within another frame, at least a pixel from its border.
 
     And their positions (M, 2) in it and depths (M,).
@@ -216,8 +211,11 @@ def _projected(
 def _compare(frame: Observation, other: Observation, changed: _Votes, compared: _Votes) -> None:
     """Adds the vote of a near view on whether patches at the same place look alike."""
     found = _projected(frame, other)
-    same = _from_same_side(frame, other, found[0])
-    pixels, position, depth = (part[same] for part in found)
+    points = frame.points.reshape(-1, 3)[found[0]]
+    rays = [points - one.camera.position for one in (frame, other)]
+    lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
+    cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
+    pixels, position, depth = (part[cosine > np.cos(np.radians(_SAME_VIEW))] for part in found)
     shape = frame.distance.shape
     corner = (position - 0.5).astype(np.int64)
     (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
@@ -235,18 +233,9 @@ def _compare(frame: Observation, other: Observation, changed: _Votes, compared: 
     changed += differs
 
 
-def _from_same_side(frame: Observation, other: Observation, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(M,) whether both frames see what pixels show along nearly the same direction."""
-    points = frame.points.reshape(-1, 3)[pixels]
-    rays = [points - one.camera.position for one in (frame, other)]
-    lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
-    cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
-    return cosine > np.cos(np.radians(_SAME_VIEW))
-
-
 def _difference(
     a: NDArray[np.float32], b: NDArray[np.float32], seen: NDArray[np.float32], is_albedo: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Bits, Bits]:
     """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
 
     `seen` (H, W) is 1 where both show a surface at the same place, else 0. Of albedo, a change of brightness
@@ -254,7 +243,10 @@ def _difference(
     """
     squares = [(image * other).sum(axis=-1) for image, other in ((a, a), (b, b), (a, b))]
     channels = (*np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0))
-    weight, *means = _patch_means([np.ones_like(seen), *channels, *squares], seen)
+    # Weighted means over patches; of the first, the mean weight.
+    stacked = torch.from_numpy(np.stack([np.ones_like(seen), *channels, *squares]) * seen)
+    weight, *sums = avg_pool2d(stacked[None], _PATCH, stride=1, padding=_PATCH // 2)[0].numpy()
+    means = [total / np.maximum(weight, 1e-6) for total in sums]
     mean_a, mean_b = np.stack(means[:3], axis=-1), np.stack(means[3:6], axis=-1)
     variance_a = np.maximum(means[6] - (mean_a**2).sum(axis=-1), 0)
     variance_b = np.maximum(means[7] - (mean_b**2).sum(axis=-1), 0)
@@ -269,14 +261,6 @@ def _difference(
     return usable, usable & (other_colour | (textured & uncorrelated))
 
 
-def _patch_means(images: list[NDArray[np.float32]], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(C, H, W) weighted means of C images (H, W) over patches; of the first one, the mean weight instead."""
-    stacked = torch.from_numpy(np.stack(images) * weight)
-    sums = avg_pool2d(stacked[None], _PATCH, stride=1, padding=_PATCH // 2)[0].numpy()
-    sums[1:] /= np.maximum(sums[0], 1e-6)
-    return np.asarray(sums)
-
-
 # Points of what moves, about, from which objects are made.
 _POINTS = 8000
 # Distance up to which two points at the same time are of one object, in units of the median distance of what
@@ -286,9 +270,7 @@ _NEAR = 0.06
 _LEAST = 0.02
 
 
-def objects_of(
-    observations: Sequence[Observation], moving: Sequence[NDArray[np.bool_]]
-) -> list[NDArray[np.int32]]:
+def objects_of(observations: Sequence[Observation], moving: Sequence[Bits]) -> list[NDArray[np.int32]]:
     """(H, W) for each frame, which object a pixel shows, from 0; -1 for what stands still.
 
     Points are of one object if they are near each other in space and in time, or if others lead from one to
@@ -311,9 +293,7 @@ def objects_of(
     return found
 
 
-def _clouds(
-    observations: Sequence[Observation], shown: Sequence[NDArray[np.bool_]]
-) -> list[NDArray[np.float64]]:
+def _clouds(observations: Sequence[Observation], shown: Sequence[Bits]) -> list[Floats]:
     """For each frame (M, 4) the points of what moves, and when, in units of how far apart points may be."""
     distances = [one.distance[mask] for one, mask in zip(observations, shown, strict=True)]
     near = _NEAR * float(np.median(np.concatenate(distances))) if sum(map(len, distances)) else 1.0
@@ -325,7 +305,7 @@ def _clouds(
     ]
 
 
-def _numbers(points: NDArray[np.float64]) -> NDArray[np.int32]:
+def _numbers(points: Floats) -> NDArray[np.int32]:
     """(N,) object of each point (N, 4), by links of length 1 at most."""
     pairs = cKDTree(points).query_pairs(1.0, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))

@@ -56,6 +56,8 @@ _FIELD = "field."
 class TrainingSettings:
     """Settings of a training.
 
+    UserError if the seed is out of range; ValueError if a number is out of range.
+
     Attributes:
         iterations: optimizer steps over all layers, one frame each.
         gaussians: number of Gaussians in the finest layer at the end.
@@ -67,10 +69,6 @@ class TrainingSettings:
         all_harmonics: whether Gaussians whose radiance is not seen to turn with the view keep harmonics above
             the constant one.
         half_frames: whether frames are kept in half precision, which holds radiance up to 65,504.
-
-    Raises:
-        UserError: the seed is out of range.
-        ValueError: a number is out of range.
     """
 
     iterations: int = 3000
@@ -107,6 +105,8 @@ def most_layers(width: int, height: int) -> int:
 class Trainer:
     """Trains a forest; its whole state can be saved between two steps and restored.
 
+    ValueError if no frame is finite, none shows a surface, or they are too small for the layers.
+
     Args:
         views: frames to train on, of any sizes, in world space; those with numbers that are not finite are
             left out.
@@ -120,9 +120,6 @@ class Trainer:
         motion, light: known or learned; None as above.
         dropped: number of frames that were left out.
         iteration: steps so far.
-
-    Raises:
-        ValueError: no frame is finite, none shows a surface, or they are too small for the layers.
     """
 
     def __init__(
@@ -139,12 +136,24 @@ class Trainer:
         self.dropped = len(views) - len(finite)
         _require_enough(views, finite, settings)
         self.place = place_of(finite) if start is None else start.place
-        views = [_labelled(placed(view, self.place), settings.motion) for view in finite]
+        views = [placed(view, self.place) for view in finite]
+        if settings.motion.field is not None:
+            # What is deformed is one instance, unless labels tell what is.
+            keep = settings.motion is MotionModel.D_GS_OF_DYNAMIC
+            whole = lambda view: np.zeros(view.distance.shape, dtype=np.int32)  # noqa: E731
+            views = [
+                view if keep and view.instance is not None else replace(view, instance=whole(view))
+                for view in views
+            ]
         self.motion: Dynamics | None = None if motion is None else motion.placed(self.place)
         self.light = None if light is None else light.placed(self.place)
         self._field: FieldOptimizer | None = None
         if settings.motion.field is not None:
-            self.motion = learned = LearnedMotion.begun(settings.motion.field, *_box(views), settings.seed)
+            points = np.concatenate([view.points(view.some_surface_pixels) for view in views])
+            # The box around the surfaces that views show, the sky apart.
+            ends = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.ones(3))
+            low, high = (torch.from_numpy(end).float() for end in ends)
+            self.motion = learned = LearnedMotion.begun(settings.motion.field, low, high, settings.seed)
             if settings.motion is MotionModel.D_GS_OF_DYNAMIC:
                 register(learned, views, settings.iterations, settings.seed)
             self._field = FieldOptimizer(learned, settings.iterations)
@@ -179,8 +188,7 @@ class Trainer:
     def last(self, iterations: int) -> None:
         """Makes it so many steps in all, while there is one layer yet.
 
-        Raises:
-            ValueError: some of these steps would have been of other layers.
+        ValueError if some of these steps would have been of other layers.
         """
         if self.iteration > _ALONE * min(iterations, self.settings.iterations):
             raise ValueError(f"after {self.iteration} steps, there cannot be {iterations} in all any more")
@@ -255,8 +263,7 @@ class Trainer:
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Restores what `state` returned.
 
-        Raises:
-            ValueError, KeyError: it belongs to a training with other settings, or a part is missing.
+        ValueError, KeyError if it belongs to a training with other settings, or a part is missing.
         """
         if numbers["settings"] != asdict(self.settings):
             raise ValueError("the checkpoint belongs to a training with other settings")
@@ -267,22 +274,6 @@ class Trainer:
         if self._field is not None:
             self._field.restore(under(_FIELD, tensors))
         self.iteration = int(numbers["iteration"])
-
-
-def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:
-    """A view in which everything that is deformed is one instance, if it is by a field."""
-    has_labels = motion is MotionModel.D_GS_OF_DYNAMIC and view.instance is not None
-    if motion.field is None or has_labels:
-        return view
-    return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
-
-
-def _box(views: list[TrainingView]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners (3,) of the box around the surfaces that views show, the sky apart."""
-    points = np.concatenate([view.points(view.some_surface_pixels) for view in views])
-    if not len(points):
-        return torch.zeros(3), torch.ones(3)
-    return torch.from_numpy(points.min(axis=0)).float(), torch.from_numpy(points.max(axis=0)).float()
 
 
 def _require_enough(

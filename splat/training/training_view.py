@@ -120,8 +120,7 @@ def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> B
 def place_of(views: list[TrainingView]) -> Place:
     """The coordinates for Gaussians that are trained on views: amid what these see.
 
-    Raises:
-        ValueError: no view shows a surface.
+    ValueError if no view shows a surface.
     """
     seen = [(view, view.some_surface_pixels) for view in views]
     distance = np.concatenate([view.distance.ravel()[pixels] for view, pixels in seen])
