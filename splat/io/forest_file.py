@@ -90,7 +90,6 @@ def save_forest(path: str | Path, forest: Forest) -> None:
 
 
 def _of_gaussians(gaussians: Gaussians) -> dict[str, torch.Tensor]:
-    """Tensors of Gaussians by name, as float32."""
     own, further = dict(gaussians.tensors()), gaussians.directional
     if further is not None:
         own |= {_DIRECTIONAL + "index": further.index, _DIRECTIONAL + "sh": further.sh}
@@ -129,7 +128,6 @@ def load_forest(path: str | Path) -> Forest:
 
 
 def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
-    """The motion of the instances, known or learned; None in a file that has none."""
     found = under(_MOTION, tensors)
     if not found:
         return None
@@ -152,7 +150,6 @@ def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
 
 
 def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
-    """How the light of some nodes changes; None in a file that does not say so."""
     found = under(_LIGHT, tensors)
     if not found:
         return None
@@ -184,7 +181,6 @@ def _hierarchy(tensors: dict[str, torch.Tensor], leaves: int, blending: Blending
 
 
 def _place(metadata: dict[str, Any]) -> Place:
-    """The coordinates of the nodes; those of the world in files that name none."""
     if "unit" not in metadata:
         return WORLD
     x, y, z = (float(value) for value in metadata["origin"])
@@ -210,13 +206,11 @@ def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
 
 
 def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
-    """The nodes of a file of float32 numbers."""
     _require_types(tensors, LABELS)
     return Layer(_gaussians(tensors), *(tensors[name] for name in LABELS))
 
 
 def _gaussians(tensors: dict[str, torch.Tensor]) -> Gaussians:
-    """Gaussians of float32 numbers."""
     _require_types(tensors, TENSORS)
     found, further = under(_DIRECTIONAL, tensors), None
     if found:

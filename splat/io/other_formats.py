@@ -120,7 +120,6 @@ def half_turned(gaussians: Gaussians) -> Gaussians:
 
 
 def _convert(source: Path, kind: str, target: Path, wanted: str, named: Path) -> None:
-    """Writes a file in another format; `named` stands in messages."""
     if importlib.util.find_spec("gaussforge") is None:
         raise UserError(f"{named}: needs gaussforge; pip install 'foveated-hybrid-renderer[formats]'")
     command = [sys.executable, "-c", _CONVERSION, str(source), kind, str(target), wanted]

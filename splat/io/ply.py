@@ -34,7 +34,6 @@ _LOG = logging.getLogger("hybrid")
 
 
 def _ply_properties(degree: int) -> list[str]:
-    """Names of a Gaussian's properties, in the order of the file."""
     rest = 3 * (sh_count(degree) - 1)
     return [
         *("x", "y", "z", "nx", "ny", "nz"),

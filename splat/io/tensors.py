@@ -175,7 +175,6 @@ def _unpacked(name: str, content: torch.Tensor, kind: torch.dtype, shape: list[i
 
 
 def _kind(name: str, declared: object) -> tuple[torch.dtype, list[int]]:
-    """Type and shape, as a file declares them."""
     if not isinstance(declared, list) or len(declared) != 2:
         raise ValueError(f"{name} has no type and shape")
     kind, shape = declared

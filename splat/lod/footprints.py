@@ -21,7 +21,7 @@ from compose.camera.camera import Camera
 from splat.lod.layer_images import CONTINUOUS, Lattice
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
-from splat.model.gaussians import Directional, Gaussians, as_rows
+from splat.model.gaussians import Gaussians, as_rows
 from splat.model.points import Bits
 from splat.raster.binning import depth_order
 from splat.raster.cut import HierarchyCut, Turned, turned_footprints
@@ -194,7 +194,6 @@ class ForestFootprints:
         self._layers.pop(CONTINUOUS, None)
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> Ordered | None:
-        """The nodes of a layer that reach into the frame of a camera in their own coordinates."""
         bounds, view = self._bounds[layer - 1], camera_numbers(self.arrays, camera, self._blending)
         if not dr.width(bounds.size):
             return None
@@ -203,7 +202,6 @@ class ForestFootprints:
         return self._ordered(self._nodes, index + bounds.first if dr.width(index) else index, None, camera)
 
     def _in_cut(self, camera: Camera, levels: Lattice, blur: float) -> Ordered | None:
-        """The nodes of the hierarchy that levels ask for."""
         selection, table = self._cut
         index, turned = selection.nodes(camera, levels, blur)
         return self._ordered(table, index, turned, camera)
@@ -211,7 +209,6 @@ class ForestFootprints:
     def _ordered(
         self, table: _NodeTable, index: UInt, turned: Turned | None, camera: Camera
     ) -> Ordered | None:
-        """Nodes of a table, at an index."""
         count = dr.width(index)
         if not count:
             return None
@@ -243,14 +240,14 @@ class _NodeTable:
     """All parameters of a node side by side, since nodes are gathered from all over the forest."""
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians):
-        self._arrays, self._coefficients = arrays, gaussians.sh.shape[0]
-        self._blending = gaussians.blending
+        self._arrays, self._blending = arrays, gaussians.blending
         # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
         self._records = _uploaded(arrays, **dict(gaussians.tensors()))
-        further = gaussians.directional
-        self._directional = None
+        # Harmonics above the constant one, of the nodes that have them.
+        self._directional, further = None, gaussians.directional
         if further is not None and further.sh.numel():
-            self._directional = _DirectionalTable(arrays, further, len(gaussians))
+            self._directional, self._slot_of = _uploaded(arrays, sh=further.sh), further.slots(len(gaussians))
+            self._slots = arrays.plain.Int(self._slot_of.int().numpy())
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest place, orientation and size of Gaussians (M)."""
@@ -260,8 +257,9 @@ class _NodeTable:
     def light(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest the spherical harmonics of Gaussians (M)."""
         _write(self._records, nodes, sh=gaussians.sh)
-        if self._directional is not None and gaussians.directional is not None:
-            self._directional.light(nodes, gaussians.directional)
+        further = gaussians.directional
+        if self._directional is not None and further is not None and len(further):
+            _write(self._directional, self._slot_of[nodes[further.index]], sh=further.sh)
 
     def footprints(self, index: UInt, camera: Camera, turned: Turned | None) -> tuple[Records, Float]:
         """Footprints and depths of the nodes at an index (M,); behind them any, up to a capacity.
@@ -270,13 +268,35 @@ class _NodeTable:
         """
         arrays, count, shown = self._arrays, dr.width(index), []
         for own in (index,) if turned is None else (index, turned.parent):
-            # What nodes show to the camera beside constant harmonics, as such.
-            further = self._directional
-            shown.append((own, None if further is None else further.constant(own, self._records, camera)))
+            shown.append((own, self._added(own, camera)))
         # Dr.Jit walks through dataclasses by their annotations, which do not exist at run time.
         dr.eval(shown, [] if turned is None else [turned.share, turned.heir])
-        view = camera_numbers(arrays, camera, self._blending), self._coefficients, capacity(count)
+        view = camera_numbers(arrays, camera, self._blending), capacity(count)
         return _footprints(arrays, self._records, shown, turned, arrays.constant(count), *view)
+
+    def _added(self, index: UInt, camera: Camera) -> list[Float] | None:
+        """Three channels (M,), of nodes at an index (M,), to be added to their constant harmonic, if any.
+
+        Only nodes that have other harmonics are computed; they lie together in vectors.
+        """
+        if self._directional is None:
+            return None
+        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
+        added = [dr.zeros(Float, dr.width(index)) for _ in range(3)]
+        slot = dr.gather(self._arrays.plain.Int, self._slots, index)
+        some = UInt(dr.compress(slot >= 0))
+        if dr.width(some):
+            sh = _harmonics(self._directional.at(UInt(dr.gather(type(slot), slot, some))).sh)
+            means = self._records.at(dr.gather(UInt, index, some)).means
+            found = directional_constant(self._arrays, sh, means, camera)
+            for target, value in zip(added, found, strict=True):
+                dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
+        return added
+
+
+def _harmonics(rows: list[Float]) -> list[list[Float]]:
+    """The three channels of each harmonic."""
+    return [rows[k : k + 3] for k in range(0, len(rows), 3)]
 
 
 def footprints_of_nodes(
@@ -286,7 +306,6 @@ def footprints_of_nodes(
     turned: Turned | None,
     count: UInt,
     view: CameraNumbers,
-    coefficients: int,
     size: int,
 ) -> tuple[Records, Float]:
     """`size` footprints and their depths, of which the first `count` are those of some nodes.
@@ -301,7 +320,7 @@ def footprints_of_nodes(
 
     def projected(index: UInt, added: list[Float] | None) -> Footprints:
         node = nodes.at(dr.gather(arrays.plain.UInt, index, lane, known))
-        sh = [node.sh[3 * k : 3 * k + 3] for k in range(coefficients)]
+        sh = _harmonics(node.sh)
         if added is not None:
             more = (dr.gather(type(channel), channel, lane, known) for channel in added)
             sh = [[own + further for own, further in zip(sh[0], more, strict=True)]]
@@ -315,39 +334,6 @@ def footprints_of_nodes(
 
 
 _footprints = Frozen(footprints_of_nodes)
-
-
-class _DirectionalTable:
-    """Harmonics above the constant one, of the nodes that have them."""
-
-    def __init__(self, arrays: Arrays, further: Directional, count: int):
-        self._arrays, self._slot_of = arrays, further.slots(count)
-        self._coefficients = further.sh.shape[0]
-        self._slots = arrays.plain.Int(self._slot_of.int().numpy())
-        self._records = _uploaded(arrays, sh=further.sh)
-
-    def light(self, nodes: torch.Tensor, further: Directional) -> None:
-        """Gives those of some nodes (L,) of the forest that have such harmonics others."""
-        if len(further):
-            _write(self._records, self._slot_of[nodes[further.index]], sh=further.sh)
-
-    def constant(self, index: UInt, nodes: Records, camera: Camera) -> list[Float]:
-        """Three channels (M,), of nodes at an index (M,), to be added to their constant harmonic.
-
-        Only nodes that have such harmonics are computed; they lie together in vectors.
-        """
-        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
-        added = [dr.zeros(Float, dr.width(index)) for _ in range(3)]
-        slot = dr.gather(self._arrays.plain.Int, self._slots, index)
-        some = UInt(dr.compress(slot >= 0))
-        if dr.width(some):
-            coefficients = self._records.at(UInt(dr.gather(type(slot), slot, some))).sh
-            sh = [coefficients[3 * k : 3 * k + 3] for k in range(self._coefficients)]
-            means = nodes.at(dr.gather(UInt, index, some)).means
-            found = directional_constant(self._arrays, sh, means, camera)
-            for target, value in zip(added, found, strict=True):
-                dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
-        return added
 
 
 def _uploaded(arrays: Arrays, **tensors: torch.Tensor) -> Records:

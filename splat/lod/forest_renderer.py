@@ -220,7 +220,6 @@ class ForestRenderer:
 
 
 def _rows_of(parts: Sequence[AtlasPart]) -> int:
-    """Rows of samples that parts of an atlas take."""
     return TILE * sum(part.height for part in parts)
 
 

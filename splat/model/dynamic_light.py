@@ -155,7 +155,6 @@ class SurfaceLight:
 
     @cached_property
     def _apart(self) -> float:
-        """How far instances are moved apart, in the fourth axis in which neighbours are sought."""
         return 4 * float(np.ptp(self.means.numpy(), axis=1).max()) + 1.0
 
     def _keys(self, means: torch.Tensor, instance: torch.Tensor) -> Floats:

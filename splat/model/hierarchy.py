@@ -181,7 +181,6 @@ class _Building:
         return self._size / remoteness(self._gaussians.means).numpy()
 
     def join(self, limit: float) -> None:
-        """Gives parents to pairs of nodes that are relatively no larger than a limit."""
         few = np.flatnonzero(self.relative <= limit)
         if len(few) < 2:
             return

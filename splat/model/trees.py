@@ -167,7 +167,6 @@ def _log_surface(log_sides: Floats) -> Floats:
 
 
 def _covariance(gaussians: Gaussians) -> Floats:
-    """(N, 3, 3) covariance in world space."""
     turn = Rotation.from_quat(quaternions_xyzw(gaussians)).as_matrix().reshape(-1, 3, 3)
     scaled = turn * np.exp(rows_of(gaussians.log_scales))[:, None, :]
     return scaled @ scaled.transpose(0, 2, 1)
@@ -244,7 +243,6 @@ class _ParentSearch:
         return result
 
     def _nearest(self, child: int) -> list[int]:
-        """The nearest parents that there are so far, at most `tries`, nearest first."""
         given, near, tries = self._near_parents, self._near_children, self._tries
         # Lists of plain numbers are quicker to go through, but those of all children take much memory.
         candidates = list(zip(given.distance[child].tolist(), given.index[child].tolist(), strict=True))

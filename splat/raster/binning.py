@@ -239,7 +239,6 @@ def packed(arrays: Arrays, splats: Splats) -> Records:
 def _packed_boxes(
     arrays: Arrays, ellipse: Splats | SimpleNamespace, left: UInt, top: UInt, across: UInt
 ) -> Records:
-    """Records of boxes and of what lies in them, splats or such records as they are read."""
     same = {name: getattr(ellipse, name) for name in _ELLIPSE}
     return _BOX.pack(arrays, **same, corner=left | top << 16, across=across)
 

@@ -270,8 +270,6 @@ _sums = Frozen(sums_of_lists, by_size=True)
 
 @dataclass(frozen=True)
 class _Walk:
-    """A walk along the lists of tiles."""
-
     arrays: Arrays  # this, lists, image, gradient: as for `sums_of_lists`
     lists: Lists
     records: Records  # the splats, per pair

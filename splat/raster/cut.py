@@ -304,7 +304,6 @@ class CompleteCuts:
         return excess > limit, float(2**limit)
 
     def _excess(self, camera: Camera, levels: Lattice) -> NDArray[np.float32]:
-        """By how many octaves each inner node is larger than it may be."""
         if not self.tree.inner:
             return np.zeros(0, np.float32)
         across = max(abs(x - camera.cx) for x in (0, camera.width)) / camera.fx

@@ -295,7 +295,6 @@ class PaddedRows:
 
 
 def _rows_of_gaussians(arrays: Arrays, padded: PaddedRows) -> list[Float]:
-    """The rows of Gaussians, followed by invisible ones."""
     rows = padded.on(arrays)
     known = dr.arange(arrays.plain.UInt, padded.size) < padded.count
     rows[_LOGITS] = dr.select(known, rows[_LOGITS], _INVISIBLE)

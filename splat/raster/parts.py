@@ -56,7 +56,6 @@ class Parts:
             yield from self._lists(self._candidates.whole)
 
     def _lists(self, window: TileWindow) -> Iterator[Bins]:
-        """The lists of a window, divided until each part is small enough."""
         runs = self._candidates.runs(window)
         middle_x, middle_y = (window.left + window.right) // 2, (window.top + window.bottom) // 2
         if runs.pairs <= PAIRS_AT_ONCE or (middle_x == window.left and middle_y == window.top):

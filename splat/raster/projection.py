@@ -320,7 +320,6 @@ def _in_camera(rotation: list[Float64], from_eye: list[Float64]) -> list[Float]:
 
 
 def _normalized(vector: list[Real]) -> list[Real]:
-    """A vector of unit length, or of nearly none."""
     # Squares of very long and very short vectors leave float32's range, so they are scaled first. The result
     # does not depend on the scale, and needs no derivative by it.
     longest = reduce(dr.maximum, (dr.detach(dr.abs(v)) for v in vector))

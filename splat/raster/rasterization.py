@@ -177,7 +177,6 @@ class _Pairs:
 
     @staticmethod
     def of(drawn: torch.Tensor, packed: bool) -> _Pairs:
-        """All, or those of a mask (..., C, N)."""
         images, count = math.prod(drawn.shape[:-1]), drawn.shape[-1]
         if not packed:
             return _Pairs(drawn.shape, None, [count] * images)
@@ -191,7 +190,6 @@ class _Pairs:
 
 
 def _meta(screen: Screen, pairs: _Pairs) -> dict[str, Any]:
-    """What `rasterization` tells of the Gaussians on the screen."""
     *batches, cameras, count = pairs.shape
     found: dict[str, Any] = {
         "radii": screen.radii,
@@ -290,7 +288,6 @@ def _check_choices(render_mode: str, rasterize_mode: str, eps2d: float, width: i
 
 
 def _check_shapes(means: torch.Tensor, viewmats: torch.Tensor, **others: torch.Tensor) -> None:
-    """Checks that all go with the batches and Gaussians of means and the cameras of viewmats."""
     if means.dim() < 2 or means.shape[-1] != 3:
         raise ValueError(f"means of shape {tuple(means.shape)}: must be (..., N, 3)")
     if viewmats.dim() < 3 or not viewmats.shape[-3]:
@@ -312,7 +309,6 @@ def _check_shapes(means: torch.Tensor, viewmats: torch.Tensor, **others: torch.T
 def _check_colors(
     colors: torch.Tensor, sh_degree: int | None, shape: torch.Size, backgrounds: torch.Tensor | None
 ) -> None:
-    """Checks the colours or harmonics of Gaussians seen by cameras (..., C, N), and backgrounds."""
     *batches, cameras, count = shape
     if sh_degree is None:
         wanted, own = "(..., N, D) or (..., C, N, D)", colors.shape[-1:]

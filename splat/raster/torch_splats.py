@@ -197,12 +197,10 @@ def _radii(
 
 
 def _dot(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> torch.Tensor:
-    """The scalar product of vectors of three tensors."""
     return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
 
 
 def _normalized(vector: Sequence[torch.Tensor]) -> list[torch.Tensor]:
-    """A vector of tensors, of unit length, or of nearly none."""
     squares = torch.stack([part * part for part in vector]).sum(dim=0)
     inverse = squares.clamp(min=_SHORTEST).rsqrt()
     return [part * inverse for part in vector]
@@ -292,7 +290,6 @@ class _Blend(torch.autograd.Function):
 def _gradients(
     ctx: Context, by_image: torch.Tensor | None, by_opacity: torch.Tensor | None
 ) -> list[torch.Tensor | None]:
-    """Gradients by the tensors of `FlatSplats`, in their order."""
     arrays, splats, parts, colours, images, absolute = state_once(ctx)
     count, channels = ctx.saved_tensors[_SHAPE - 1].shape
     given = [gradient for gradient in (by_image, by_opacity) if gradient is not None]

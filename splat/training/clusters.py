@@ -69,7 +69,6 @@ class HitTree:
         self._rank()
 
     def _grown(self) -> list[_Level]:
-        """All levels, coarsest first."""
         levels: list[_Level] = []
         for depth in range(_DEPTH + 1):
             keys = self._keys >> np.uint64(3 * (_DEPTH - depth))

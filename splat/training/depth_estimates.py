@@ -141,7 +141,6 @@ _Source = Callable[[int, NDArray[np.int64]], Floats]
 
 
 def _source(views: list[TrainingView], points: Floats | None, bounds: tuple[float, float] | None) -> _Source:
-    """The best source of guesses that there is."""
     middle, distance = focus([view.camera for view in views])
     nearest, farthest = bounds or (_NEAREST * distance, _FARTHEST * distance)
     if points is not None and len(points):

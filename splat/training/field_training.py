@@ -41,8 +41,6 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class _Anchors:
-    """Points of one instance."""
-
     index: torch.Tensor  # (A,) among the anchors of all instances
     size: float  # median distance from their centre
     neighbours: torch.Tensor  # neighbours, lengths: (A, K) nearest others, and how far they are at rest
@@ -117,7 +115,6 @@ def _clouds(
 
 
 def _anchors(points: torch.Tensor, instance: torch.Tensor, number: int) -> _Anchors:
-    """Those of one instance, among points (A, 3) of all."""
     index = torch.nonzero(instance == number)[:, 0]
     own = points[index]
     lengths, neighbours = torch.cdist(own, own).topk(min(_NEIGHBOURS + 1, len(own)), largest=False)

@@ -192,7 +192,6 @@ def _gaussians(rows: torch.Tensor, index: torch.Tensor, turning: torch.Tensor) -
 
 
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:
-    """(rows, M) derivative by a tensor (..., M); 0 where nothing depends on it."""
     return as_rows(torch.zeros_like(leaf) if leaf.grad is None else leaf.grad)
 
 

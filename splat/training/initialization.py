@@ -97,7 +97,6 @@ def _some_of(pixels: Ints, most: int, rng: np.random.Generator) -> Ints:
 
 
 def _with_degree(layer: Layer, degree: int) -> Layer:
-    """Nodes with a constant harmonic, and others of 0 up to a degree."""
     constant = layer.gaussians.sh
     further = constant.new_zeros(sh_count(degree) - 1, 3, len(layer))
     return replace(layer, gaussians=replace(layer.gaussians, sh=torch.cat([constant, further])))
@@ -179,7 +178,6 @@ def _rotation_to(normals: Floats) -> Floats:
 
 
 def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
-    """Seeds of the sky in all directions; none if the views show hardly any."""
     far = sum(len(view.sky_pixels) for view in views)
     if far <= _LEAST_SKY * sum(view.distance.size for view in views):
         return Gaussians.none(degree)

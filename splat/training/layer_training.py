@@ -249,7 +249,6 @@ class LayerTraining:
         return measured(self._arrays, self._shown(view.time), view) if view.guessed else view
 
     def _shown(self, time: float) -> Gaussians:
-        """The nodes' Gaussians as they are at a time, without gradients."""
         gaussians = self._optimizer.gaussians
         if self._motion is None:
             return gaussians

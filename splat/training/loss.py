@@ -211,7 +211,6 @@ class _Similarity:
         dr.eval(self._seen, self._own, self._slope, self._distance)
 
     def loss_and_gradient(self) -> list[Float]:
-        """Loss, error per pixel, and derivative of the loss by the radiance."""
         error = dr.block_sum(self._distance, CHANNELS) / CHANNELS
         dissimilarity, *flow = self._compared()
         gradient = self._gradient(flow)

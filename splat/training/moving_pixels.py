@@ -185,7 +185,6 @@ def _votes(frames: Sequence[Observation], index: int) -> list[_Votes]:
 
 
 def _look_through(frame: Observation, other: Observation, gone: _Votes, there: _Votes) -> None:
-    """Adds the vote of another frame on where a frame's points have gone and where they may be."""
     pixels, position, depth = _projected(frame, other)
     column, row = position.astype(np.int64).T
     # What lies in front of all that the nine pixels around a place show, cannot be among them.

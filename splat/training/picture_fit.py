@@ -153,7 +153,6 @@ def _low_pass(camera: Camera, focal: float) -> float:
 
 
 def _cut_at_random(cut: HierarchyCut, camera: Camera, rng: np.random.Generator) -> torch.Tensor:
-    """Numbers (K,) of the nodes of one cut, in ascending order."""
     corners = (-(-camera.height // TILE) + 1, -(-camera.width // TILE) + 1)
     levels = np.full(corners, _FINEST, dtype=np.float32)
     leaves = len(cut.nodes(camera, levels, 1.0)[0])

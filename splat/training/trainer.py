@@ -180,7 +180,6 @@ class Trainer:
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def _scheduled(self) -> list[int]:
-        """The steps of each layer, once they are scheduled."""
         self._schedule = training_schedule(self.settings, self._alone)
         self._settling = int(_SETTLED * self.settings.iterations)
         return np.bincount(self._schedule, minlength=self.settings.layers).clip(min=1).tolist()
@@ -279,7 +278,6 @@ class Trainer:
 def _require_enough(
     views: list[TrainingView], finite: list[TrainingView], settings: TrainingSettings
 ) -> None:
-    """Checks that there are frames to learn from, and that they are large enough for all layers."""
     if not finite:
         raise ValueError(f"none of {len(views)} frames holds only finite numbers; capture them again")
     finest = [view.camera for view in finite if view.camera.fy == finest_focal(finite)]
