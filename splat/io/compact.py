@@ -35,9 +35,8 @@ Codes = NDArray[Any]
 _PER_LOG, _MOST_LOG = 32, 128.0
 # Below 1/255 nothing is drawn, above 0.99 nothing is told apart: eight bits are what opacity has.
 _OPACITIES = 256
-# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display. So are,
-# together, harmonics up to the second degree: the mean square of each over directions is 1 / (4 pi) of its
-# coefficient's.
+# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display, and so
+# are harmonics up to the second degree together.
 _PER_COLOUR = 256
 # Larger colours and harmonics end there; both are inside of float32.
 _LARGEST = 8e37
@@ -141,8 +140,7 @@ def _others(index: Ints) -> Ints:
 
 _BOX_STEPS = 2**16 - 1
 _LARGEST_BOX = 256
-# A node's position is right to this share of its shortest axis. Of one as flat as a sheet, a share of its
-# longest axis: then, what fills a hundred pixels moves by a tenth of one.
+# A node's position is right to this share of its shortest axis, or of its longest one if it is a sheet.
 _OF_SHORTEST, _OF_LONGEST = 1 / 16, 1 / 1024
 
 

@@ -38,9 +38,8 @@ _FORMATS = (*_WRITERS, "ksplat", "sog", "splat", "spz")
 _MOST_BYTES = 1 << 34
 # Of a compressed PLY file, enough to name its properties.
 _HEADER = 1 << 12
-# SPZ has axes right, up and back, PLY right, down and forward (the description of the format in
-# nianticlabs/spz), and gaussforge leaves that to its callers. Signs of axes and of spherical harmonics under
-# that half turn about x.
+# SPZ has axes right, up and back, PLY right, down and forward (nianticlabs/spz), and gaussforge leaves that
+# to its callers: signs under that half turn about x.
 _AXES = 1.0, -1.0, -1.0
 _HARMONICS = 1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1
 _CONVERSION = """

@@ -16,8 +16,7 @@ from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below, write_whole
 from splat.model.gaussians import MAX_DEGREE, Blending, Gaussians, sh_count
 
-# The frames that imported Gaussians were trained on are unknown. With this focal length they get no wider
-# filter than the pixel's.
+# Focal length of unknown frames: imported Gaussians get no wider filter than the pixel's.
 UNBOUND_FOCAL = 1e9
 # Their 48 coefficients are addressed by 32 bits, with a sign.
 _MOST_GAUSSIANS = 2**31 // 48

@@ -1,8 +1,7 @@
 """Tensors with metadata in safetensors files, and without loss in fewer bytes.
 
 Packed, bytes of equal significance lie side by side, then DEFLATE. On a trained forest, LZMA takes 9 % less
-room and six times as long to read; Zstandard at its usual level takes as much room, and would be one more
-library to install.
+room and six times as long to read; Zstandard takes as much room.
 """
 
 from __future__ import annotations

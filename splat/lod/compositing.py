@@ -92,7 +92,7 @@ def composite(arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, 
 def composited(arrays: Arrays, mixture: Mixture, atlas: Float, frame: Float | None = None) -> Float:
     """The pixels of a frame of whole tiles, three floats each, from those of an atlas, four floats each.
 
-    In a `frame` of four floats each, which is changed, cells that no entry covers stay as they are.
+    If a `frame` of four floats each is given, it is changed but for cells that no entry covers.
     """
     plain = arrays.plain
     lane = dr.arange(plain.UInt, mixture.cells * _PER_CELL)

@@ -122,10 +122,7 @@ class ForestRenderer:
         self._footprints.hold_cut(drawn)
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
-        """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
-
-        ValueError if the forest has no such layer.
-        """
+        """One layer over the whole frame, (H / 2^rate, W / 2^rate) samples; ValueError if there is none."""
         grid = TileGrid(camera.width, camera.height)
         image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
         part = AtlasPart.of(pack_atlas([image], grid.mask(None)))
@@ -142,9 +139,8 @@ class ForestRenderer:
         over: bool = False,
         levels: Lattice | None = None,
     ) -> list[SplatImage]:
-        """An image of each part, which lie one above the other, from the top down.
+        """An image of each part, which lie one above the other; all count the nodes of all.
 
-        All count the nodes of all; they are black images of the frame's size if no node shows in any entry.
         If it `mixes`, the last part is composited: into the first image if it lies `over` that, or into one
         that comes before all. `rate` is the finest that entries may have.
         """
@@ -206,8 +202,7 @@ class ForestRenderer:
         cutoff = np.maximum(cutoff, NYQUIST / _WIDEST_BLUR, dtype=np.float32)
         lowest, blurs = np.minimum.reduce(at_corners(cutoff)), []
         for entry in entries:
-            # The layer was trained with a filter of its training frames' pixels, and the grid of samples
-            # requires one of its own.
+            # Both the pixels of its training frames and the grid of samples require a filter.
             layer = len(self.forest.counts) if entry.image.layer == CONTINUOUS else entry.image.layer
             least = max(camera.fy / self.forest.focal_of(layer), 2.0**entry.image.rate)
             kept = NYQUIST if entry.is_sharp else float(lowest[entry.cells].min())
@@ -239,7 +234,6 @@ def splats_of_candidates(
         found: (N,) numbers of the candidates, of which the first `count` are drawn.
         size: of the result, at least that.
         split: tiles of the rasterizer along the side of one of the atlas.
-        encoded: by which rules footprints are filtered.
     """
     lane = dr.arange(arrays.plain.UInt, size)
     known = lane < count
@@ -295,10 +289,7 @@ def images_of_pairs(
 def _finished(
     arrays: Arrays, images: list[Float], mixture: Mixture | None, over: bool, encoded: bool
 ) -> list[Float]:
-    """Images in linear radiance; of a mixture without the last one.
-
-    That one is composited into the first one, or into one before all.
-    """
+    """Images in linear radiance; that of a mixture is composited into the first one, or one before all."""
     if encoded:
         for number, image in enumerate(images):
             # The fourth channel is opacity.

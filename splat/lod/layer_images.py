@@ -30,8 +30,7 @@ class LayerImage:
 
     layer: int  # 1, the coarsest, to L; or CONTINUOUS
     rate: int  # log2 of pixels per sample along each axis, 0 for every pixel
-    # (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells of TILE pixels, linear
-    # between them.
+    # (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells, linear between them
     weight: Lattice
 
     @staticmethod

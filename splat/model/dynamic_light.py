@@ -121,11 +121,10 @@ def in_light(gaussians: Gaussians, nodes: torch.Tensor, factor: torch.Tensor) ->
 _REACH = 8.0
 # Which neighbour of a point tells the gap.
 _NEIGHBOUR = 4
-# Among so many neighbours of a point there is one of the other side of something thin, whose normal's
-# product with that of the point is at most so much.
+# Among so many neighbours of a point is one of the other side of something thin; most product of normals.
 _AROUND, _OPPOSITE = 32, -0.3
-# Neighbours of a point that tell how light changes from place to place, and the least product of their
-# normals with its own: light that changes around a corner is no edge of a shadow.
+# Neighbours that tell how light changes from place to place, and the least product of their normals: light
+# that changes around a corner is no edge of a shadow.
 _NEIGHBOURS, _ALIKE = 6, 0.7
 # Times that tell it, about.
 _SAMPLED = 32
@@ -140,8 +139,7 @@ class SurfaceLight:
     means: torch.Tensor  # (3, P) float32, the points at rest
     normals: torch.Tensor  # (3, P) float32, at rest, towards where each was seen from
     instance: torch.Tensor  # (P,) int32, what moves them; -1 for nothing
-    # (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal steps of time from 0
-    # to 1.
+    # (T, 3, P) float16, irradiance of each channel over what is usual there, at equal steps of time, 0 to 1
     factors: torch.Tensor
     changes: torch.Tensor  # (P,) bool, whether that is more than noise
 

@@ -1,8 +1,7 @@
 """The parameters of 3D Gaussians, as a structure of arrays, and the perceptual scale of their colours.
 
-Radiance is linear and unbounded. The spherical harmonics represent it on a perceptual scale, the sRGB curve
-continued above 1: on this scale 3D Gaussian splatting trains, its files store colours, and a lamp of
-radiance 50 is only 5.3. `Blending` says whether values of this scale or radiance are blended.
+That is the sRGB curve continued above 1, on which a lamp of radiance 50 is only 5.3. 3D Gaussian splatting
+trains and stores its colours on it. `Blending` says whether its values or radiance are blended.
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ class Blending(str, Enum):
 
     # Linear radiance, with the filter of Mip-Splatting: those trained here.
     LINEAR = "linear"
-    # Values of the perceptual scale, which are display-encoded, with filter and limits of 3D Gaussian
-    # splatting (Kerbl et al. 2023): those of its files. The blended image is made linear radiance afterwards.
+    # Values of the perceptual scale, by the rules of 3D Gaussian splatting (Kerbl et al. 2023); the blended
+    # image is made linear radiance afterwards.
     DISPLAY = "display"
 
 

@@ -254,7 +254,11 @@ def _batches(children: Ints, count: int) -> Iterator[tuple[int, int]]:
 
 
 class CutTree:
-    """How N leaves and M inner nodes lie above each other.
+    """How N leaves and M inner nodes lie above each other, for complete cuts.
+
+    A cut is kept as the inner nodes that are split, which are not drawn themselves: their children stand for
+    them. A node is drawn if all that is above it is split and it is not. So any choice of split nodes,
+    however old or wrong it is, makes a set of nodes of which every leaf has exactly one above it, or is it.
 
     Args:
         parent: (N + M,) of each node, leaves first; -1 for roots.

@@ -104,8 +104,7 @@ class HexPlane(torch.nn.Module):
     Places differ within a box with corners (3,). The regularizers (total variation of planes) are left out.
     """
 
-    # Learning rates at the start and at the end: those of 4DGS are for 20,000 steps, a few times as many as
-    # are taken here, and are as many times smaller.
+    # Those of 4DGS are for 20,000 steps, a few times as many as are taken here, and as many times smaller.
     RATES: ClassVar = {"planes": (6.4e-3, 6.4e-4), "": (6.4e-4, 6.4e-5)}
     low: Tensor
     high: Tensor

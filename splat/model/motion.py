@@ -70,8 +70,7 @@ class NodeMotion:
     ValueError if a tensor has the wrong shape or type, or pieces do not sum up.
     """
 
-    # (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1; two or
-    # more.
+    # (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T >= 2 equal steps of time, 0 to 1
     rotations: torch.Tensor
     centres: torch.Tensor  # (P, 3) float64, points at rest; between two steps, they move in a straight line
     shifts: torch.Tensor  # (T, P, 3) float64, how far the centres are from rest

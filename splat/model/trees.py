@@ -126,8 +126,7 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
     the standard deviations as sides. Mean, covariance and colour, as it is blended, are means weighted by w;
-    the opacity is (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two
-    has.
+    the opacity is (w_a + w_b) / S of the result, at most 0.99.
     """
     # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
     weight_a, weight_b = (
@@ -284,10 +283,9 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
 
 
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
-    """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
+    """Layers, coarsest first, over the Gaussians of one trained set, which is layer L (Algorithm 1).
 
-    The layers, coarsest first, do not depend on the order of the set in memory. `pixel` is the size in world
-    space of a pixel of the training frames at their mean depth.
+    They do not depend on its order. `pixel` is the size of a pixel of training frames at their mean depth.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
     size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
@@ -314,7 +312,7 @@ def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints
 
     Layer L takes sizes below 4 pixels, layer l from 2^(L - l + 1) to 2^(L - l + 2) pixels, layer 1 all above:
     what a frame reduced by 2^(L - l) can still sample. (The printed upper bound 2^L s_L f d must read
-    2^L s_L d / f.) `pixel` is d / f, the size of a pixel of the training frames at their mean depth d.
+    2^L s_L d / f.) `pixel` is as for `build_forest`.
     """
     octave = np.floor(np.log2(np.maximum(size / pixel, 2.0))).astype(np.int64)
     return np.clip(layers + 1 - octave, 1, layers)

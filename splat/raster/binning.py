@@ -30,8 +30,7 @@ MINIMUM_ALPHA = 1 / 255
 # u = u_x dx + u_y dy and v = v_y dy, and radiance. One float is spare.
 _BLENDED = RecordLayout((8, 2), x=1, y=1, u_x=1, u_y=1, v_y=1, constant=1, red=1, green=1, blue=1)
 LOG2_E = 1.4426950408889634
-# A splat's ellipse and its box of tiles: its first column plus 2^16 times its first row, and its number of
-# columns. Nothing is spare.
+# A splat's ellipse and its box of tiles: first column plus 2^16 times the first row, and number of columns.
 _ELLIPSE = "x", "y", "x_precision", "shear", "y_precision", "opacity"
 _BOX = RecordLayout((8,), ("corner", "across"), **dict.fromkeys(_ELLIPSE, 1), corner=1, across=1)
 
@@ -58,10 +57,7 @@ class Lists:
 
 @dataclass(frozen=True)
 class Bins:
-    """The lists of a frame's tiles, and the runs of pairs that they were sorted from.
-
-    Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
-    """
+    """The lists of a frame's tiles, and the runs of pairs, each of one splat, that they were sorted from."""
 
     arrays: Arrays
     grid: TileGrid
@@ -184,8 +180,7 @@ class Candidates:
 def depth_order(arrays: Arrays, depth: Float, seen: Bool) -> UInt:
     """Indices of splats from near to far, those that are not seen last.
 
-    Depths that agree to one part in 100,000 count as equal, in scenes that reach beyond 32 octaves from the
-    near plane to one in 16,000; their splats keep the order of their indices.
+    Depths that agree to one part in 100,000, beyond 32 octaves in 16,000, count as equal: the sort is stable.
     """
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
     bits = lambda value: UInt(dr.reinterpret_array(UInt, value))  # noqa: E731
@@ -200,10 +195,7 @@ def depth_order(arrays: Arrays, depth: Float, seen: Bool) -> UInt:
 
 
 def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxed:
-    """What is read of splats for tiles of that side, each confined to some tiles.
-
-    Their boxes of tiles are those around visible ellipses.
-    """
+    """What is read of splats for tiles of that side, each confined to some tiles."""
     Int, UInt = arrays.plain.Int, arrays.plain.UInt
     # exp(-q / 2) opacity = 1/255 is the ellipse q = 2 ln(255 opacity); the covariance's diagonal bounds it.
     level = 2 * dr.log(dr.maximum(splats.opacity * (1 / MINIMUM_ALPHA), 1))
@@ -216,8 +208,7 @@ def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxe
     y0 = Int(dr.floor(in_tiles(splats.y - reach_y, bounds.top, bounds.bottom)))
     x1 = Int(dr.ceil(in_tiles(splats.x + reach_x, 0, bounds.columns)))
     y1 = Int(dr.ceil(in_tiles(splats.y + reach_y, bounds.top, bounds.bottom)))
-    # One number that is none, or infinite, and the splat touches no tile: not even a weight of 0 would keep
-    # it from a pixel there.
+    # With a number that is none, or infinite, a splat touches no tile: no weight keeps it from a pixel.
     numbers = reach_x + reach_y + splats.x + splats.y + splats.red + splats.green + splats.blue
     seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(numbers)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)
@@ -278,10 +269,7 @@ class Runs:
 
 
 def run_lengths(arrays: Arrays, count: UInt, order: UInt | None) -> tuple[UInt64, UInt]:
-    """`end` and `count` of `PairRuns`.
-
-    In 64 bits: many splats on a large frame are more pairs than 32 bits count.
-    """
+    """`end` and `count` of `PairRuns`, in 64 bits: there may be more pairs than 32 bits count."""
     if order is not None:
         count = dr.gather(arrays.plain.UInt, count, order)
     wide = arrays.plain.UInt64(count)

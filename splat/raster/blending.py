@@ -46,8 +46,8 @@ class Compositing:
 
 
 STANDARD = Compositing()
-# To find out which blocks show a pair costs 1/40 of blending it. Where tiles have more pairs than this on
-# average, blocks may well stop long before the end, and then it does not pay.
+# Finding which blocks show a pair costs 1/40 of blending it. It does not pay where tiles have more pairs than
+# this on average: blocks stop long before the end.
 _LONG_LIST = 256
 
 
@@ -181,9 +181,8 @@ def _composited(rules: Compositing, alpha: Float, transmittance: Float) -> tuple
     return dr.select(counts, weight, 0), dr.select(counts, behind, -dr.abs(transmittance)), counts
 
 
-# Sums per pair: the six moments and the three channels of `_block_sums`, and two absolute values if they are
-# wanted. In packets, to which the lanes of a vector add one after the other; or each by itself, with atomic
-# additions.
+# Sums per pair: those of `_block_sums`. In packets, to which the lanes of a vector add one after the other;
+# or each by itself, with atomic additions.
 _SUMS, _ABSOLUTE = 9, 2
 _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
 _WITH_ABSOLUTE = RecordLayout((8, 4), sums=_SUMS + _ABSOLUTE)

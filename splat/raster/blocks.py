@@ -18,8 +18,7 @@ from splat.raster.tiles import LANES_ACROSS, GridNumbers
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt
 
-# A block stops once every pixel transmits less: what lies behind changes them by at most this share of its
-# radiance.
+# A block stops once every pixel transmits less: what lies behind changes them by this share at most.
 MINIMUM_TRANSMITTANCE = 1e-4
 # A pixel of the image buffer.
 PIXEL = RecordLayout((4,), red=1, green=1, blue=1, opacity=1)
@@ -70,10 +69,7 @@ class Blocks:
         return (i < self.last) & (reduce(dr.maximum, transmittance) > MINIMUM_TRANSMITTANCE)
 
     def log2_alphas(self, splat: SimpleNamespace) -> list[tuple[Float, Float, Float]]:
-        """For each pixel of the block, row by row, log2 of a splat's alpha, not yet clamped, and its u and v.
-
-        Whatever the size of the splat, u and v are less than 3 where it is visible.
-        """
+        """For each pixel, row by row, log2 of a splat's alpha, not yet clamped, and its u and v."""
         columns = [splat.u_x * (self.centre_x + float(k) - splat.x) for k in range(self.side)]
         found = []
         for row in range(self.side):
@@ -110,11 +106,7 @@ class Shown:
         self._words = _by_block(arrays, _shown_in(arrays, lists, records), lists)
 
     def following(self, i: UInt, last: UInt, number: UInt) -> UInt:
-        """The first pair from `i` on that a block shows; `last` or above where none is left.
-
-        Of each lane, `i` is a pair of its tile's list or `last`, the end of that list, and `number` that of
-        its block in the tile, row by row.
-        """
+        """The first pair from `i` on that a block shows; `last`, the end of its list, or above if none is."""
         plain = self._arrays.plain
 
         def word(i: UInt) -> UInt:

@@ -260,8 +260,7 @@ _SPHERES = RecordLayout((8,), (), mean=3, size=1, radius=1)
 # Around the frame, nodes are as fine as at its border for so many degrees; beyond, they may be an octave
 # larger every so many degrees, and by so many octaves at most.
 _MARGIN, _DEGREES_PER_OCTAVE, _MOST_BESIDE = 4.0, 4.0, 6.0
-# Octaves below the level at which a node that is split is joined again: else nodes at the level would change
-# with every movement.
+# Octaves below the level at which a split node is joined again, or nodes would change with every movement.
 _HYSTERESIS = 0.1
 
 

@@ -202,10 +202,7 @@ class Context(FunctionCtx):
 
 
 class _Render(torch.autograd.Function):
-    """The bridge: torch holds parameters and loss, Dr.Jit computes image and gradients.
-
-    The image has what is blended: linear radiance, or values of the perceptual scale.
-    """
+    """The bridge: torch holds parameters and loss, Dr.Jit computes what is blended, and gradients."""
 
     @staticmethod
     def forward(  # type: ignore[override]  # the stub takes any
@@ -268,17 +265,11 @@ def parameters_of(rows: list[Float]) -> Parameters:
 
 @dataclass(frozen=True)
 class PaddedRows:
-    """Rows of N Gaussians or splats, to be followed by zeros: trainings render other numbers in each view.
+    """Rows of N Gaussians or splats, to be followed by zeros: trainings render other numbers in each view."""
 
-    Attributes:
-        rows: (N,) each, in the order of the parameter tensors' memory.
-        count: N, in memory.
-        size: more than N.
-    """
-
-    rows: AnySize
-    count: UInt
-    size: int
+    rows: AnySize  # (N,) each, in the order of the parameter tensors' memory
+    count: UInt  # N
+    size: int  # more than N
 
     @staticmethod
     def of(arrays: Arrays, tensors: list[torch.Tensor]) -> PaddedRows:

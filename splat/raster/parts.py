@@ -23,8 +23,7 @@ from splat.raster.records import Records
 if TYPE_CHECKING:
     from drjit.auto.ad import Float
 
-# Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
-# this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
+# Candidate pairs that are listed at once; at some 90 bytes each, 1.5 GB.
 PAIRS_AT_ONCE = 1 << 24
 
 

@@ -42,27 +42,25 @@ PIXEL_FILTER = 0.1
 _DILATION = 0.3
 # A Gaussian seen edge-on has no area before it is filtered; without a floor its gradient divides by zero.
 _COMPENSATION_FLOOR = 2.5e-5
-# The projection is linearized no further out than at the border of the frame, and Gaussians beyond it as seen
-# from there: at their own tangent, those beside the camera would smear over the whole frame. Kerbl et al. go
-# out to 1.3 times the half field of view, which leaves a haze where viewers stand near a wall.
+# Times the half field of view, up to which the projection is linearized: at their own tangent, Gaussians
+# beside the camera would smear over the frame. Those of Kerbl et al. leave a haze where viewers stand near a
+# wall.
 _TANGENT_LIMITS = {Blending.LINEAR: 1.0, Blending.DISPLAY: 1.3}
-# Gaussians nearer to the camera are not drawn. In their own unit of length (`Place`), so that neither this
-# nor the range of depths that are told apart depends on the size of a scene.
+# Gaussians nearer to the camera are not drawn. In their own unit of length (`Place`), whatever the size of a
+# scene.
 NEAR = 0.01
-# Standard deviations in px: a longer axis covers any frame evenly. The square of its precision, by which the
-# gradient is multiplied, still fits float32.
+# Standard deviations in px: a longer axis covers any frame evenly. The square of its precision fits float32.
 _LONGEST = 1e9
 # Variance in px^2: a narrower Gaussian lies between the positions that float32 can tell apart.
 _NARROWEST = 1e-12
-# exp of it fits float32, and its reciprocal, too. A scale that large exceeds _LONGEST, an opacity that small
-# is invisible.
+# exp of it and its reciprocal fit float32; scales and opacities beyond it are over _LONGEST, or invisible.
 _LARGEST_EXPONENT = 80.0
 # Standard deviations at which the most opaque Gaussian falls to 1/255.
 REACH = 3.33
 # Vectors no longer than this have no direction.
 _SHORTEST = 1e-30
-# Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr). Its square, summed over all
-# pixels of a frame and multiplied by what the gradient needs, still fits float32.
+# Largest radiance of a Gaussian; the sun's disc has 2e7 W / (m^2 sr). Its square, summed over a frame, fits
+# float32.
 LARGEST_RADIANCE = 1e12
 _LARGEST_PERCEPTUAL = srgb_power(LARGEST_RADIANCE)
 
@@ -320,8 +318,7 @@ def _in_camera(rotation: list[Float64], from_eye: list[Float64]) -> list[Float]:
 
 
 def _normalized(vector: list[Real]) -> list[Real]:
-    # Squares of very long and very short vectors leave float32's range, so they are scaled first. The result
-    # does not depend on the scale, and needs no derivative by it.
+    # Scaled first: squares of very long and short vectors leave float32's range. It needs no derivative.
     longest = reduce(dr.maximum, (dr.detach(dr.abs(v)) for v in vector))
     scale = dr.rcp(dr.select(longest > _SHORTEST, longest, 1))
     scaled = [v * scale for v in vector]

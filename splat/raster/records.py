@@ -85,10 +85,7 @@ class RecordLayout:
                 end += size
 
     def pack(self, arrays: Arrays, **values: Float | UInt | list[Float]) -> Records:
-        """Packs arrays that are on the device: by slot (N,), or a list of them for a slot wider than 1.
-
-        Arrays of width 1 are broadcast. ValueError if the names are not those of the slots.
-        """
+        """Packs arrays, by slot (N,) or of width 1, or a list of them; ValueError for names of no slots."""
         self._check_names(values)
         floats, Float = [], arrays.plain.Float
         for name in self.slots:
@@ -109,10 +106,7 @@ class RecordLayout:
         return Records(arrays, self, tables)
 
     def rows(self, **values: ArrayLike) -> NDArray[np.float32]:
-        """(N, floats) records of numbers in host memory: by slot (N,), or (width, N) for a slot wider than 1.
-
-        ValueError if the names are not those of the slots.
-        """
+        """(N, floats) records of numbers in host memory, by slot (N,), or (width, N) for wider ones."""
         self._check_names(values)
         count = max(np.shape(value)[-1] for value in values.values())
         host = np.zeros((count, self.packets[-1].floats.stop), dtype=np.float32)

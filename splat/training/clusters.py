@@ -24,14 +24,14 @@ from splat.model.trees import Layer, label_codes
 _DEPTH, _FAR = 14, 2 * TYPICAL_DISTANCE
 # Hits below which a cell is not divided.
 _FEWEST = 4
-# Standard deviation of a cell's hits, in pixels of the frames that saw them, above which it is divided
-# whatever its colours: large Gaussians spill over what is before them.
+# Standard deviation of a cell's hits, in pixels of their frames, above which it is divided whatever its
+# colours.
 _LARGEST = 8.0
 # What is too large is divided first, the largest before others.
 _FIRST = 1e9
 _COLOURS = 3
-# Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1,
-# although displays show no more: what spills over from a lamp is seen around it.
+# Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1: what
+# spills over from a lamp is seen around it.
 _BRIGHTEST = 4.0
 
 

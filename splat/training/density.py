@@ -139,8 +139,7 @@ _MARGIN = 1.3
 LEAST_STEPS = 400
 # Share of a layer's nodes that are split at once, at most.
 _MOST = 0.1
-# Standard deviation of a half along the axis that is split, and its distance from the middle, as shares of
-# the deviation of the whole: nearly the same moments.
+# Deviation of a half along the split axis, and its distance from the middle, over the deviation of the whole.
 _HALF, _ASIDE = 0.75, 0.6
 # What a half has of its opacity in the middle of the whole, and the most that it has.
 _MIDDLE, _MOST_OPAQUE = float(np.exp(-0.5 * (_ASIDE / _HALF) ** 2)), 0.99

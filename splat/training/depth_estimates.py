@@ -1,9 +1,8 @@
 """Distances for frames that do not have any: guesses, which training replaces by what its Gaussians show.
 
-From known points where there are some; else from the hull of what is not empty; else from parallax: how far
-away something must be for other views to show it in the same colour. That is a plane sweep (Collins 1996):
-each pixel is tried at a number of distances, and keeps the one at which small windows around it look most
-alike in other views. It is coarse, and wrong where there is no texture; but what is wrong there looks right.
+From known points where there are some; else from the hull of what is not empty; else from parallax by a plane
+sweep (Collins 1996): each pixel is tried at a number of distances, and keeps the one at which small windows
+around it look most alike in other views. Where there is no texture, it is wrong, but looks right.
 """
 
 from __future__ import annotations
@@ -27,14 +26,11 @@ from splat.training.training_view import TrainingView, reduced
 
 # Pixels, about, of the reduced views that are compared.
 _PIXELS = 1 << 12
-# Distances that are tried, in equal steps of their inverse, and the least of them over the largest: more
-# would take long, or leave gaps of more than a pixel.
+# Distances that are tried, in equal steps of their inverse, and the least of them over the largest.
 _TRIED, _LEAST = 64, 1 / 12
-# Views that each one is compared with, and the share of them that must agree: in others it is hidden, or has
-# moved.
+# Views that each one is compared with, and the share of them that must agree: in others it is hidden.
 _OTHERS, _AGREEING = 8, 0.5
-# How far apart cameras are that are compared, over the distance of what they show: nearer ones see no
-# parallax, farther ones something else.
+# How far apart compared cameras are, over the distance of what they show: nearer ones see no parallax.
 _NEAR, _FAR = 0.02, 0.35
 # Side of the windows, and of the filter that removes outliers, in pixels of reduced views.
 _WINDOW, _FILTER = 5, 5
@@ -104,8 +100,7 @@ _NEAREST, _FARTHEST = 0.3, 2.0
 # Cells of the hull's grid along each axis, and steps of a ray through it.
 _CELLS = 64
 _STEPS = 128
-# Where views show a ray's cells not to be empty, the first one is hit that does so in nearly as many views
-# as any: what moves is nowhere in all of them.
+# The first cell of a ray is hit that is filled in nearly as many views as any: what moves is in few of them.
 _NEARLY = 0.9
 # Of the smallest eigenvalue of a mean of projections: less is that of axes that are all but parallel.
 _PARALLEL = 1e-4

@@ -22,8 +22,7 @@ from splat.training.training_view import SKY_DISTANCE, TrainingView
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
 _INITIAL_OPACITY = 0.5
-# Of the first seeds, which have to hide what lies behind the surface: a forest of half transparent ones is
-# dark, and takes hundreds of steps to get out of it.
+# Of the first seeds: a forest of half transparent ones is dark, and takes hundreds of steps to get out of it.
 _COVERING_OPACITY = 0.9
 # Standard deviation of a seed, as a share of the distance to its neighbours.
 _COVERING = 0.6

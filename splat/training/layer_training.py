@@ -51,15 +51,13 @@ def order_of_views(errors: NDArray[np.float64], rng: np.random.Generator) -> NDA
 _LIMITED_EVERY = 25
 # And from one look at which points of surfaces nodes have their light from.
 _LIT_EVERY = 100
-# How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
-# the steps since the last time: each takes about as long as a step.
+# How often nodes are told anew which of them move; views from which, at most, and as a share of the steps.
 _SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
 # When it is told which nodes turn with the view, as shares of the steps, and by what share of what is visible
-# they must: while there are few, so that most never have harmonics, which have not gone far then; and when
-# these have, and all nodes can still make up for those that go.
+# they must: while there are few, and at last when the others can still make up for what goes.
 _TURNING = {0.3: 0.2, 0.8: 1.0}
-# Views that tell it, as a share of the steps, and their least and greatest number: short trainings have no
-# time for more. They are half as large along each side, which takes less than half of the time of a step.
+# Views that tell it, half as large along each side: as a share of the steps, and their least and greatest
+# number.
 _TURNING_SHARE, _TURNING_VIEWS = 0.1, (8, 32)
 
 
@@ -104,8 +102,7 @@ class LayerTraining:
         self._pixel = pixel_footprint(views)
         labels = [view.instance for view in views if view.instance is not None]
         self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
-        # Where all that is seen moves, or nothing, there is nothing to tell. Where courses are known, labels
-        # are exact: nodes at edges that got others cost up to 0.8 dB.
+        # Where all or nothing moves, there is nothing to tell; labels of known courses are exact.
         partly = any(bool((label < 0).any()) for label in labels)
         self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
 
@@ -188,8 +185,7 @@ class LayerTraining:
     def separate_at_last(self) -> torch.Tensor | None:
         """Tells from all views which nodes move, and removes those that move and that none of them shows.
 
-        A field has led these behind something. Nobody will tell any more that they do not belong there.
-        Returns as `step`.
+        A field has led these behind something. Returns as `step`.
         """
         if not self._separates:
             return None

@@ -101,8 +101,7 @@ def evidence_of(
 ) -> Evidence:
     """What nodes contribute to pixels of views, labelled by instances, each shown at the time of the view.
 
-    A view tells of those nodes only that are on the surface that it sees: one that something has left behind,
-    or that does not follow it yet, is drawn in front of what stands still, but is no part of that.
+    A view tells of those nodes only that are on the surface that it sees, not of what is in front of it.
     """
     count = len(layer)
     sums, times, most = torch.zeros(count, 1 + instances), torch.zeros(count, 2), torch.zeros(count, 2)
@@ -130,12 +129,11 @@ def evidence_of(
 
 
 def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
-    """The nodes with labels that follow what they contribute to.
+    """The nodes with labels that follow what they contribute to; those that hardly contribute keep theirs.
 
-    More than half of what a dynamic node contributes is to pixels of what moves; its instance is the one that
-    it contributes most to. Nodes that hardly contribute keep their labels. A node whose labels change stays
-    where it was shown when it contributed most to what its new labels say. One that stands still is put on
-    the surface that views see there, if it is farther from it than it is large.
+    More than half of what a dynamic node contributes is to pixels of what moves, most of it to its instance.
+    A node whose labels change stays where it was shown when it contributed most to what its new labels say.
+    One that stands still is put on the surface there, if it is farther from it than it is large.
     """
     # Pixels of what nodes are on the surface of.
     total = evidence.sums.sum(dim=1)

@@ -1,4 +1,17 @@
-"""What frames show, as far as it tells what moves: appearance, points, and smooth surfaces of one colour."""
+"""Which pixels show something that moves, and which object, from frames without masks.
+
+Fov-GS (section 3.2) looks at the optical flow between a frame and a forest that stands still; but shadows
+flow as well. Here, what a pixel shows is looked for, at the same place, in frames of other times:
+
+1. Another frame looks through that place: what was there has gone. Sure wherever distances are, whether
+   there is texture or not.
+2. Another frame sees a surface at that place, of another texture: what was there has slid or turned in its
+   own plane, or the distances do not know of it. Patches are compared by their normalised cross-correlation,
+   on which a light that gets brighter or darker has no influence, and where they have no texture by their
+   mean albedo, else their chromaticity.
+
+What is hidden in another frame says nothing.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +41,7 @@ class Observation:
 
     camera: Camera
     radiance: NDArray[np.float32]  # (H, W, 3) float32, linear
-    # (H, W) float32 along the ray to what is seen, as it is known or as a forest renders it; inf where
-    # nothing is.
+    # (H, W) float32 along the ray to what is seen, known or rendered; inf where nothing is
     distance: NDArray[np.float32]
     time: float  # that the frame shows, from 0 to 1
     albedo: NDArray[np.float32] | None = None  # (H, W, 3) float32; None if it is not known
@@ -133,9 +145,8 @@ _CHANGED = 1 / 3
 _LEAST_COMPARED = 2
 # Frames at most that each is looked for in, and nearest ones whose patches it is compared with.
 _MOST_FRAMES, _COMPARED = 32, 10
-# Degrees between the rays along which two frames see a point: seen from elsewhere, what is glossy looks
-# different although it stands still. On a ball of rough metal 0.1 % of patches do up to here, 18 % up to
-# twice as far.
+# Degrees between the rays along which two frames see a point: of a ball of rough metal 0.1 % of patches look
+# different up to here, 18 % up to twice as far.
 _SAME_VIEW = 3.0
 # Side in pixels of patches, and the least deviation within one that is texture.
 _PATCH, _TEXTURE = 5, 0.09

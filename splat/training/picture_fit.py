@@ -35,8 +35,7 @@ _STEPS, _PER_VIEW = 400, 4
 _SIDE = 256
 # Standard deviation, in degrees, by which views are turned at random.
 _TURN = 8.0
-# Half of the views have the resolution of the training, the others up to so many octaves more: other programs
-# have larger windows.
+# Half of the views have the resolution of the training, the others up to so many octaves more.
 _CLOSER = 1.5
 # Positions move by a tenth of what they do in a training: Gaussians are where they belong.
 _STILLNESS = 0.1

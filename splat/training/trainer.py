@@ -39,8 +39,7 @@ from splat.training.training_view import (
 _ALONE = 0.4
 # The same where the finest layer is known from an earlier training, and grows by what that did not know.
 _ALONE_AGAIN = 0.6
-# Share of the later steps that the finest layer gets: it has four times the pixels of the next one, and it
-# is what the viewer sees nearest to the gaze.
+# Share of the later steps that the finest layer gets, which has four times the pixels of the next one.
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
@@ -108,17 +107,15 @@ class Trainer:
     ValueError if no frame is finite, none shows a surface, or they are too small for the layers.
 
     Args:
-        views: frames to train on, of any sizes, in world space; those with numbers that are not finite are
-            left out.
+        views: frames to train on, of any sizes, in world space.
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
         motion: of the instances that the views show, in world space; None if nothing moves, and if a field
             learns it.
         light: on the surfaces that they show, in world space; None if it does not change.
 
     Attributes:
-        place: the coordinates in which the Gaussians are trained, and of what follows.
-        motion, light: known or learned; None as above.
-        dropped: number of frames that were left out.
+        place: the coordinates in which the Gaussians are trained; motion and light are in them, too.
+        dropped: number of frames that were left out, which have numbers that are not finite.
         iteration: steps so far.
     """
 

@@ -18,9 +18,8 @@ _SAMPLED = 4096
 _LARGEST_HALF = float(np.finfo(np.float16).max)
 # Degrees from the axis up to which pixels count as equally large.
 _WIDE = 45.0
-# In units of a place (compose.camera.coordinate_systems), 25,000 times the median distance of what is seen:
-# seven times that median distance away, a viewer sees the sky moved by half a pixel of 1,920 over 60 degrees.
-# Surfaces farther away than that are drawn there as well.
+# In units of a place, 25,000 times the median distance of what is seen: seven such distances away, a viewer
+# sees the sky moved by half a pixel of 1,920 over 60 degrees. Surfaces farther away are drawn there, too.
 SKY_DISTANCE = 1e5
 # Share of the median radiance of a frame below which nothing is drawn.
 _DARK = 1e-3
@@ -36,8 +35,7 @@ class TrainingView:
 
     camera: Camera
     radiance: NDArray[np.floating]  # (H, W, 3) linear, float32 or float16
-    # (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected surface
-    # appears behind it; inf where nothing is hit.
+    # (H, W) float32 along the ray to the visible surface, or the one that a mirror shows; inf if none is hit
     distance: NDArray[np.float32]
     normal: NDArray[np.floating]  # (H, W, 3) in world space, of the same type, zero where it is unknown
     sky: float = np.inf  # distance of pixels that show the sky, and no surface; inf for a view of the world
