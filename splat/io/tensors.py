@@ -130,7 +130,13 @@ _ALWAYS, _PER_BYTE = 1 << 28, 64
 def packed(tensors: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """The content of each tensor as bytes, uint8, and its type and shape, which JSON can hold."""
     kinds = {name: [str(t.dtype).removeprefix("torch."), list(t.shape)] for name, t in tensors.items()}
-    return {name: _packed(tensor) for name, tensor in tensors.items()}, kinds
+    found = {}
+    for name, tensor in tensors.items():
+        flat = tensor.detach().cpu().contiguous().reshape(-1)
+        planes = flat.view(torch.uint8).reshape(-1, flat.element_size()).T.contiguous().numpy()
+        content = bytearray(zlib.compress(planes.tobytes(), _LEVEL))
+        found[name] = torch.from_numpy(np.frombuffer(content, np.uint8))
+    return found, kinds
 
 
 def unpacked(tensors: dict[str, torch.Tensor], kinds: object) -> dict[str, torch.Tensor]:
@@ -147,12 +153,6 @@ def unpacked(tensors: dict[str, torch.Tensor], kinds: object) -> dict[str, torch
     if total > most:
         raise ValueError(f"packed tensors of {total:,} bytes; at most {most:,} are unpacked")
     return {name: _unpacked(name, tensor, *found[name]) for name, tensor in tensors.items()}
-
-
-def _packed(tensor: torch.Tensor) -> torch.Tensor:
-    flat = tensor.detach().cpu().contiguous().reshape(-1)
-    planes = flat.view(torch.uint8).reshape(-1, flat.element_size()).T.contiguous().numpy()
-    return torch.from_numpy(np.frombuffer(bytearray(zlib.compress(planes.tobytes(), _LEVEL)), np.uint8))
 
 
 def _unpacked(name: str, content: torch.Tensor, kind: torch.dtype, shape: list[int]) -> torch.Tensor:

@@ -134,17 +134,6 @@ class ForestFootprints:
         if time != self._time:
             self._time, self._key = time, None
 
-    def _change(self, layer: int, camera: Camera) -> None:
-        """Brings a layer to the time that is shown, in the light that a camera in its coordinates sees."""
-        changes = self._changes[layer - 1]
-        moved = changes.moved(self._time)
-        if moved is not None:
-            self._nodes.move(*moved)
-            self._bounds[layer - 1].move(*moved)
-        lit = changes.lit(self._time, camera)
-        if lit is not None:
-            self._nodes.light(*lit)
-
     def layers(
         self, camera: Camera, blur: float, layers: Sequence[int], levels: Lattice | None = None
     ) -> list[range]:
@@ -169,7 +158,6 @@ class ForestFootprints:
                 if n == CONTINUOUS and levels is not None:
                     self._layers[n] = self._in_cut(own, levels, self._key[1])
                 else:
-                    self._change(n, own)
                     self._layers[n] = self._visible(own, n, self._key[1])
             parts = [part for part in self._layers.values() if part is not None]
             self.records = concatenated_records(parts) if parts else None
@@ -194,6 +182,13 @@ class ForestFootprints:
         self._layers.pop(CONTINUOUS, None)
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> Ordered | None:
+        """The nodes of a layer, at the time that is shown, in the light that a camera sees."""
+        changes = self._changes[layer - 1]
+        if (moved := changes.moved(self._time)) is not None:
+            self._nodes.move(*moved)
+            self._bounds[layer - 1].move(*moved)
+        if (lit := changes.lit(self._time, camera)) is not None:
+            self._nodes.light(*lit)
         bounds, view = self._bounds[layer - 1], camera_numbers(self.arrays, camera, self._blending)
         if not dr.width(bounds.size):
             return None

@@ -6,7 +6,7 @@ cuts the perceptually guided levels of detail move; or they were fitted (`splat.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,11 @@ class Hierarchy:
         parent = self.parents(count)
         size = np.concatenate([leaves.longest.numpy().astype(np.float64), np.zeros(len(children))])
         radius, nodes = np.zeros(len(size)), leaves
-        for start, end in _batches(children, count):
+        highest, end = children.max(axis=1) if len(children) else children[:, 0], 0
+        while end < len(children):
+            # As many as have all children before them.
+            start, later = end, np.flatnonzero(highest[end:] >= count + end)
+            end = start + int(later[0]) if len(later) else len(children)
             pairs = children[start:end]
             if self.inner is None:
                 merged = merge(*(nodes.select(torch.from_numpy(side)) for side in pairs.T))
@@ -214,43 +218,25 @@ class _Building:
         distance /= limit * remoteness(means).numpy()[:, None]
         cost = distance + _COLOUR * np.abs(colour[near] - colour[:, None]).sum(axis=2)
         cost[(distance > _FARTHEST) | (codes[near] != codes[:, None])] = np.inf
-        return np.concatenate([np.zeros((0, 2), np.int64), *_mutual(near, cost)])
-
-
-def _mutual(near: Ints, cost: Floats) -> Iterator[Ints]:
-    """Pairs (P, 2) of points that are each other's cheapest free neighbour, until there are none.
-
-    Of each point there are neighbours (N, K) and what joining them costs, infinite if they must not be.
-    """
-    own, cost = np.arange(len(near)), cost.copy()
-    while True:
-        choice = cost.argmin(axis=1)
-        best = near[own, choice]
-        possible = np.isfinite(cost[own, choice])
-        found = np.flatnonzero(possible & possible[best] & (best[best] == own) & (own < best))
-        if not len(found):
-            return
-        pairs = np.stack([found, best[found]], axis=1)
-        taken = np.zeros(len(near), dtype=bool)
-        taken[pairs] = True
-        cost[taken] = np.inf
-        cost[taken[near]] = np.inf
-        yield pairs
+        # Those that are each other's cheapest free neighbour, until there are none.
+        own, pairs = np.arange(len(near)), [np.zeros((0, 2), np.int64)]
+        while True:
+            choice = cost.argmin(axis=1)
+            best = near[own, choice]
+            possible = np.isfinite(cost[own, choice])
+            found = np.flatnonzero(possible & possible[best] & (best[best] == own) & (own < best))
+            if not len(found):
+                return np.concatenate(pairs)
+            pairs.append(np.stack([found, best[found]], axis=1))
+            taken = np.zeros(len(near), dtype=bool)
+            taken[pairs[-1]] = True
+            cost[taken] = np.inf
+            cost[taken[near]] = np.inf
 
 
 def _size(merged: Gaussians, children: Floats) -> Floats:
     """(M,) sizes of merged Gaussians, from those of their children (M, 2)."""
     return np.maximum(merged.longest.numpy(), _LARGER * children.max(axis=1))
-
-
-def _batches(children: Ints, count: int) -> Iterator[tuple[int, int]]:
-    """Ranges of inner nodes whose children all come before the range."""
-    highest, start = children.max(axis=1) if len(children) else children[:, 0], 0
-    while start < len(children):
-        later = np.flatnonzero(highest[start:] >= count + start)
-        end = start + int(later[0]) if len(later) else len(children)
-        yield start, end
-        start = end
 
 
 class CutTree:
@@ -294,10 +280,7 @@ class CutTree:
 
     def closed(self, split: Bits) -> Bits:
         """(M,) those of the inner nodes that are split above which all are split as well."""
-        found = np.append(split, True)
-        for nodes in self._by_depth:
-            found[nodes] &= found[self._above[self.leaves + nodes]]
-        return found[:-1]
+        return self.falling(split.astype(np.float32)) > 0
 
     def drawn(self, split: Bits) -> Bits:
         """(N + M,) the nodes of the cut in which inner nodes (M,) are split, whichever they are."""

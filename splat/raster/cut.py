@@ -291,7 +291,15 @@ class CompleteCuts:
                 if it had more.
             before: what was split for the view before, most of which stays.
         """
-        excess = self._excess(camera, levels)
+        if not self.tree.inner:
+            return np.zeros(0, bool), 1.0
+        across = max(abs(x - camera.cx) for x in (0, camera.width)) / camera.fx
+        down = max(abs(y - camera.cy) for y in (0, camera.height)) / camera.fy
+        cone = self._arrays.plain.Float(math.atan(math.hypot(across, down)) + math.radians(_MARGIN))
+        dr.make_opaque(cone)
+        view = camera_numbers(self._arrays, camera, self._blending)
+        lattice = LevelTable.of(self._arrays, levels)
+        excess = np.array(_octaves(self._arrays, self._spheres, self.tree.inner, view, cone, lattice))
         if before is not None:
             excess = excess + np.float32(_HYSTERESIS) * before
         excess = self.tree.falling(excess)
@@ -301,17 +309,6 @@ class CompleteCuts:
         if spare is not None and spare < len(excess):
             limit = max(limit, np.partition(excess, -spare - 1)[-spare - 1])
         return excess > limit, float(2**limit)
-
-    def _excess(self, camera: Camera, levels: Lattice) -> NDArray[np.float32]:
-        if not self.tree.inner:
-            return np.zeros(0, np.float32)
-        across = max(abs(x - camera.cx) for x in (0, camera.width)) / camera.fx
-        down = max(abs(y - camera.cy) for y in (0, camera.height)) / camera.fy
-        cone = self._arrays.plain.Float(math.atan(math.hypot(across, down)) + math.radians(_MARGIN))
-        dr.make_opaque(cone)
-        view = camera_numbers(self._arrays, camera, self._blending)
-        lattice = LevelTable.of(self._arrays, levels)
-        return np.array(_octaves(self._arrays, self._spheres, self.tree.inner, view, cone, lattice))
 
 
 def octaves_over(

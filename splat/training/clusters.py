@@ -24,14 +24,14 @@ from splat.model.trees import Layer, label_codes
 _DEPTH, _FAR = 14, 2 * TYPICAL_DISTANCE
 # Hits below which a cell is not divided.
 _FEWEST = 4
-# Standard deviation of a cell's hits, in pixels of their frames, above which it is divided whatever its
-# colours.
+# Standard deviation of a cell's hits, in pixels of the frames that saw them, above which it is divided
+# whatever its colours: large Gaussians spill over what is before them.
 _LARGEST = 8.0
 # What is too large is divided first, the largest before others.
 _FIRST = 1e9
 _COLOURS = 3
-# Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1: what
-# spills over from a lamp is seen around it.
+# Of what is brighter on the perceptual scale, no difference counts: lamps would have all leaves. Not 1,
+# although displays show no more: what spills over from a lamp is seen around it.
 _BRIGHTEST = 4.0
 
 
@@ -51,7 +51,8 @@ class HitTree:
 
     Hits of different labels, and of surfaces that face different ways, are never in one cell.
 
-    ValueError if there is no hit.
+    Raises:
+        ValueError: there is no hit.
     """
 
     def __init__(self, hits: Layer):
@@ -69,6 +70,7 @@ class HitTree:
         self._rank()
 
     def _grown(self) -> list[_Level]:
+        """All levels, coarsest first."""
         levels: list[_Level] = []
         for depth in range(_DEPTH + 1):
             keys = self._keys >> np.uint64(3 * (_DEPTH - depth))
@@ -119,19 +121,22 @@ class HitTree:
         found = int(np.searchsorted(self._counts, count, side="right"))
         return decibels(float(self._left[max(found - 1, 0)]) / (len(self._keys) * _COLOURS))
 
+    def _leaves(self, worth: float) -> Ints:
+        """First hit of each leaf, in order."""
+        found, divided = [], np.ones(len(self._levels[0].first), dtype=bool)
+        for number, level in enumerate(self._levels):
+            here = divided if number == 0 else divided[level.parent]
+            divides = here & (self._worth[number] > worth) if number < _DEPTH else np.zeros_like(here)
+            found.append(level.first[here & ~divides])
+            divided = divides
+        return np.sort(np.concatenate(found))
+
     def seeds(self, count: int, rng: np.random.Generator) -> Layer:
         """Up to `count` hits, about as many, one of each leaf at random, in the mean colour of its leaf.
 
         A leaf is where it was hit, also among leaves and bars, where the mean of hits is in the air.
         """
-        worth, leaves = self.worth_of(count), []
-        divided = np.ones(len(self._levels[0].first), dtype=bool)
-        for number, level in enumerate(self._levels):
-            here = divided if number == 0 else divided[level.parent]
-            divided = here & (self._worth[number] > worth) if number < _DEPTH else np.zeros_like(here)
-            leaves.append(level.first[here & ~divided])
-        # First hit of each leaf, in order.
-        first = np.sort(np.concatenate(leaves))
+        first = self._leaves(self.worth_of(count))
         hits = np.diff(first, append=len(self._keys))
         if len(first) > count:
             # Not even one for each label and way to face.

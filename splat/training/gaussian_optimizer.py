@@ -132,8 +132,14 @@ class GaussianOptimizer:
         assert self._leaves.directional is not None
         gradient = torch.cat([_gradient(leaf) for _, leaf in self._leaves.tensors()])
         turning = _gradient(self._leaves.directional.sh)
-        if not _are_finite(loss.detach(), gradient, turning):
-            return False
+        # The moments are made of squares. A sum of them takes a tenth of the time of a maximum; and each look
+        # at a number waits for the device.
+        flat = [part.reshape(-1) for part in (gradient, turning)]
+        if not bool(torch.isfinite(loss.detach() + sum(torch.dot(part, part) for part in flat))):
+            # Only the sum may be infinite. A maximum is NaN if any of its numbers is.
+            extremes = [torch.linalg.vector_norm(part, torch.inf).square() for part in flat if len(part)]
+            if not bool(torch.isfinite(torch.stack([loss.detach(), *extremes])).all()):
+                return False
         # One of each row that all Gaussians have.
         means = tuple(self._pixel * rate for rate in _MEANS)
         rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
@@ -191,14 +197,3 @@ def _gaussians(rows: torch.Tensor, index: torch.Tensor, turning: torch.Tensor) -
 
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:
     return as_rows(torch.zeros_like(leaf) if leaf.grad is None else leaf.grad)
-
-
-def _are_finite(loss: torch.Tensor, *gradients: torch.Tensor) -> bool:
-    """Whether a loss is finite, gradients, and their squares, of which the moments are made."""
-    flat = [gradient.reshape(-1) for gradient in gradients]
-    # A sum of squares takes a tenth of the time of a maximum; and each look at a number waits for the device.
-    if bool(torch.isfinite(loss + sum(torch.dot(part, part) for part in flat))):
-        return True
-    # A maximum is NaN if any of its numbers is.
-    extremes = [torch.linalg.vector_norm(part, torch.inf).square() for part in flat if len(part)]
-    return bool(torch.isfinite(torch.stack([loss, *extremes])).all())
