@@ -11,7 +11,7 @@ atlas. An image at rate r has one sample per 2^r x 2^r pixels, at their centre.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -172,11 +172,9 @@ class ForestRenderer:
             top = _rows_of(parts[:-1])
             placed = [replace(entry, top=entry.top - top) for entry in parts[-1].entries]
             mixture = Mixture.of(arrays, placed, grid.padded_width, camera)
-        candidates, heights = (
-            Candidates(arrays, splats, grid, mask, None, runs),
-            [split * part.height for part in parts],
-        )
-        images = _drawn_images(arrays, candidates, heights, mixture, over, self._encoded)
+        candidates = Candidates(arrays, splats, grid, mask, None, runs)
+        heights, finish = [split * part.height for part in parts], Finish(mixture, over, self._encoded)
+        images = _drawn_images(arrays, candidates, heights, finish)
         size, firsts = (camera.width, camera.height), [part.entries[0].first_row * TILE for part in parts]
         shapes = [(grid.padded_width, CHANNELS, first) for first in firsts]
         if mixes:
@@ -252,55 +250,43 @@ def splats_of_candidates(
     return result, *run_lengths(arrays, result.count, None)
 
 
-def _drawn_images(
-    arrays: Arrays,
-    candidates: Candidates,
-    heights: list[int],
-    mixture: Mixture | None,
-    over: bool,
-    encoded: bool,
-) -> list[Float]:
-    """Images of candidates, the last one composited if there is a mixture."""
-    runs, grid = candidates.runs(candidates.whole), candidates.grid
-    split = ImageSplit.of(arrays, grid, heights)
+@dataclass(frozen=True)
+class Finish:
+    """What becomes of the images of parts."""
+
+    mixture: Mixture | None  # of the last one
+    over: bool  # whether that is composited into the first one, or else into one before all
+    encoded: bool  # whether they are of perceptual values, and become linear radiance
+
+    def of(self, arrays: Arrays, images: list[Float]) -> list[Float]:
+        """The images, finished; the last one is gone if there is a mixture."""
+        if self.encoded:
+            # The fourth channel is opacity.
+            for number, image in enumerate(images):
+                is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
+                images[number] = dr.select(is_colour, radiance_from_perceptual(image), image)
+            dr.eval(images)
+        if self.mixture is None:
+            return images
+        *others, atlas = images
+        frame = others.pop(0) if self.over else None
+        return [composited(arrays, self.mixture, atlas, frame), *others]
+
+
+def _drawn_images(arrays: Arrays, candidates: Candidates, heights: list[int], finish: Finish) -> list[Float]:
+    runs, split = candidates.runs(candidates.whole), ImageSplit.of(arrays, candidates.grid, heights)
     if not 0 < runs.pairs <= PAIRS_AT_ONCE:
-        images = rasterize_parts(arrays, Parts(candidates), heights)
-        return _finished(arrays, images, mixture, over, encoded)
+        return finish.of(arrays, rasterize_parts(arrays, Parts(candidates), heights))
     pairs, _ = candidates.sorted(runs)
     jumping = jumps(arrays, runs.pairs, int(np.count_nonzero(candidates.wanted)))
-    return _images(arrays, candidates.found.blended, pairs, split, jumping, mixture, over, encoded)
+    return _images(arrays, candidates.found.blended, pairs, split, jumping, finish)
 
 
 def images_of_pairs(
-    arrays: Arrays,
-    blended: Records,
-    pairs: SortedPairs,
-    split: ImageSplit,
-    jumping: bool,
-    mixture: Mixture | None,
-    over: bool,
-    encoded: bool,
+    arrays: Arrays, blended: Records, pairs: SortedPairs, split: ImageSplit, jumping: bool, finish: Finish
 ) -> list[Float]:
-    """Images of sorted candidates, the last one composited if there is a mixture."""
-    images = blend(arrays, blended, lists(arrays, pairs), split, jumping)
-    return _finished(arrays, images, mixture, over, encoded)
-
-
-def _finished(
-    arrays: Arrays, images: list[Float], mixture: Mixture | None, over: bool, encoded: bool
-) -> list[Float]:
-    """Images in linear radiance; that of a mixture is composited into the first one, or one before all."""
-    if encoded:
-        for number, image in enumerate(images):
-            # The fourth channel is opacity.
-            is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
-            images[number] = dr.select(is_colour, radiance_from_perceptual(image), image)
-        dr.eval(images)
-    if mixture is None:
-        return images
-    *others, atlas = images
-    frame = others.pop(0) if over else None
-    return [composited(arrays, mixture, atlas, frame), *others]
+    """Images of sorted candidates."""
+    return finish.of(arrays, blend(arrays, blended, lists(arrays, pairs), split, jumping))
 
 
 _chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)
