@@ -32,8 +32,7 @@ from splat.model.dynamic_light import LightCourse
 from splat.model.forest import Forest
 from splat.model.gaussians import TENSORS, Blending, Directional, Gaussians
 from splat.model.hierarchy import Hierarchy
-from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics, NodeMotion
+from splat.model.motion import Dynamics, LearnedMotion, NodeMotion
 from splat.model.trees import LABELS, Layer, check_forest
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."

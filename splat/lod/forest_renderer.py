@@ -27,6 +27,7 @@ from splat.lod.layer_images import (
     NYQUIST,
     AtlasEntry,
     AtlasPart,
+    EntryTable,
     Lattice,
     LayerImage,
     Mask,
@@ -34,10 +35,10 @@ from splat.lod.layer_images import (
     Under,
     at_corners,
     black_image,
+    chosen,
     covered_cells,
     pack_atlas,
 )
-from splat.lod.node_selection import EntryTable, chosen
 from splat.model.forest import Forest
 from splat.model.gaussians import Blending
 from splat.model.points import Bits

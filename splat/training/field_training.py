@@ -19,7 +19,7 @@ import torch
 
 from compose.base.files import under
 from compose.camera.camera import Camera
-from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import LearnedMotion
 from splat.training.training_view import TrainingView
 
 # Steps at most, each on one frame.

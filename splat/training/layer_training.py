@@ -15,8 +15,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import View
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.gaussians import SH_DC, Gaussians, apart
-from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics
+from splat.model.motion import Dynamics, LearnedMotion
 from splat.model.trees import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.raster.differentiable import contributions, directional_radiance, render_differentiable, visible
 from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_log_scales, too_large

@@ -19,8 +19,7 @@ from compose.base.files import under
 from splat.model.choices import Labels, MotionModel
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.forest import Forest
-from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics, NodeMotion
+from splat.model.motion import Dynamics, LearnedMotion, NodeMotion
 from splat.model.trees import NO_PARENT, Layer, build_forest, settle, without_parents
 from splat.training.field_training import FieldOptimizer, register
 from splat.training.initialization import seed_from_views
