@@ -20,7 +20,7 @@ from compose.base.arrays import Arrays, uploaded
 from compose.base.frozen import capacity
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import ArrayXf, Float, UInt
+    from drjit.auto.ad import Float, UInt
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class RecordLayout:
             target[:, slot] = np.reshape(values[name], (slot.stop - slot.start, -1)).T
         return host
 
-    def scattered(self, arrays: Arrays, packets: Sequence[ArrayXf | list[Float]], count: int) -> Records:
+    def scattered(self, arrays: Arrays, packets: Sequence[Sequence[Float]], count: int) -> Records:
         """`count` records of packets, one for each load."""
         tables, record = self.tables(arrays, count), dr.arange(arrays.plain.UInt, count)
         for packet, values in zip(self.packets, packets, strict=True):
@@ -171,7 +171,7 @@ class Records:
         """Copies of the records at an index (M,), in that order."""
         return self.layout.scattered(self.arrays, self.packets(index), dr.width(index))
 
-    def packets(self, index: UInt) -> list[ArrayXf]:
+    def packets(self, index: UInt) -> list[Sequence[Float]]:
         """The packets of the records at an index, one for each load."""
         packet = self.arrays.packet
         return [packet(self.tables[p.table], p.size, p.index(index)) for p in self.layout.packets]
