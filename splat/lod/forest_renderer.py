@@ -167,13 +167,13 @@ class ForestRenderer:
         split = _FINE_SPLIT if shown.columns * shown.rows <= _FEW_TILES else 1
         grid = TileGrid(columns * TILE, len(mask) * TILE, TILE // split)
         sizes = arrays.constant(nodes), capacity(nodes), split, self._encoded
-        splats, *runs = _splats(arrays, table, footprints, found, *sizes)
+        splats, ends, lengths = _splats(arrays, table, footprints, found, *sizes)
         mask, mixture = mask.repeat(split, axis=0).repeat(split, axis=1), None
         if mixes:
             top = _rows_of(parts[:-1])
             placed = [replace(entry, top=entry.top - top) for entry in parts[-1].entries]
             mixture = Mixture.of(arrays, placed, grid.padded_width, camera)
-        candidates = Candidates(arrays, splats, grid, mask, None, runs)
+        candidates = Candidates(arrays, splats, grid, mask, None, (ends, lengths))
         heights, finish = [split * part.height for part in parts], Finish(mixture, over, self._encoded)
         images = _drawn_images(arrays, candidates, heights, finish)
         size, firsts = (camera.width, camera.height), [part.entries[0].first_row * TILE for part in parts]

@@ -144,8 +144,8 @@ class HierarchyCut:
             index = arrays.plain.UInt(dr.compress(drawn))
         if not dr.width(index):
             return index, Turned(index, *(dr.zeros(arrays.plain.Float, 0) for _ in range(2)))
-        parts = (dr.gather(type(part), part, index) for part in (self._parent, turned, self._is_heir))
-        return index, Turned(*parts)
+        share, heir = (dr.gather(arrays.plain.Float, part, index) for part in (turned, self._is_heir))
+        return index, Turned(dr.gather(arrays.plain.UInt, self._parent, index), share, heir)
 
     def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
         """What levels are to be multiplied by, 1 or more, for at most so many nodes to be drawn.

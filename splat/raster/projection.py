@@ -188,9 +188,10 @@ def footprints(parameters: Parameters, camera: CameraNumbers) -> Footprints:
         own = dr.rcp(yy + _DILATION)
         conditional = conditional * yy * own + xx * _DILATION * own + _DILATION
         xx, yy = xx + _DILATION, yy + _DILATION
-        red, green, blue = (dr.clip(value, 0, _LARGEST_PERCEPTUAL) for value in colour)
+        colour = [dr.clip(value, 0, _LARGEST_PERCEPTUAL) for value in colour]
     else:
-        red, green, blue = map(radiance_from_perceptual, colour)
+        colour = [radiance_from_perceptual(value) for value in colour]
+    red, green, blue = map(number, colour)
     return Footprints(x, y, xx, xy, yy, conditional, opacity, red, green, blue, dr.detach(vz))
 
 
