@@ -115,12 +115,10 @@ class ForestFootprints:
         self.arrays, self._place = arrays, forest.place
         self._blending = forest.nodes.gaussians.blending
         self._nodes, self._time = _NodeTable(arrays, forest.nodes.gaussians), 0.0
-        ends = np.cumsum(forest.counts).tolist()
-        ranges = [(end - count, end) for end, count in zip(ends, forest.counts, strict=True)]
-        self._changes = [LayerChanges(forest, first, end) for first, end in ranges]
+        self._changes = [LayerChanges(forest, *ends) for ends in forest.ranges]
         self._bounds = [
-            _LayerBounds(arrays, forest.nodes.gaussians, first, end, changes.moves)
-            for (first, end), changes in zip(ranges, self._changes, strict=True)
+            _LayerBounds(arrays, forest.nodes.gaussians, *ends, changes.moves)
+            for ends, changes in zip(forest.ranges, self._changes, strict=True)
         ]
         self._forest, self._levels = forest, b""
         self._key: tuple[bytes, float] | None = None

@@ -7,7 +7,7 @@ have one for each of its sides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -61,7 +61,7 @@ class LightCourse:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return dict(vars(self))
 
     def among(self, first: int, end: int) -> LightCourse:
         """The course of those nodes alone whose indices are from first up to end."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate, pairwise
 
 import numpy as np
 import torch
@@ -71,10 +72,14 @@ class Forest:
                 raise ValueError(f"light of nodes {first} to {last}; there are {len(self.nodes)}")
 
     @property
+    def ranges(self) -> list[tuple[int, int]]:
+        """First index of each layer's nodes, and the one after the last."""
+        return list(pairwise(accumulate(self.counts, initial=0)))
+
+    @property
     def layers(self) -> list[Layer]:
         """The layers, coarsest first; they share the forest's memory."""
-        ends = np.cumsum(self.counts).tolist()
-        return [self.nodes.part(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
+        return [self.nodes.part(first, end) for first, end in self.ranges]
 
     @property
     def finest(self) -> Gaussians:

@@ -11,7 +11,7 @@ A motion that nobody knows is a field that deforms Gaussians, of D-GS or 4DGS.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from typing import ClassVar
@@ -99,7 +99,7 @@ class NodeMotion:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return dict(vars(self))
 
     def __len__(self) -> int:
         """Number of instances."""

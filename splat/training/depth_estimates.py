@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance
-from splat.model.points import Floats
+from splat.model.points import Floats, Ints
 from splat.raster.differentiable import render_differentiable
 from splat.training.training_view import TrainingView, reduced
 
@@ -54,7 +54,7 @@ class Parallax:
         self._tried = 1 / np.linspace(1 / farthest, 1 / max(nearest, _LEAST * farthest), _TRIED)
         self._distance = distance
 
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Floats:
+    def distances(self, number: int, pixels: Ints) -> Floats:
         """Distances (M,) along the rays through pixels of a view, row-major indices at full resolution."""
         small = self._views[number]
         height, width = small.distance.shape
@@ -132,7 +132,7 @@ def with_guesses(
 
 
 # Distances (M,) along the rays through pixels of a view, from its number and row-major indices (M,).
-_Source = Callable[[int, NDArray[np.int64]], Floats]
+_Source = Callable[[int, Ints], Floats]
 
 
 def _source(views: list[TrainingView], points: Floats | None, bounds: tuple[float, float] | None) -> _Source:
@@ -168,7 +168,7 @@ def focus(cameras: list[Camera]) -> tuple[Floats, float]:
 
 
 def _among_points(
-    views: list[TrainingView], points: Floats, otherwise: float, number: int, pixels: NDArray[np.int64]
+    views: list[TrainingView], points: Floats, otherwise: float, number: int, pixels: Ints
 ) -> Floats:
     """Median distances of the known points that are seen around pixels; `otherwise` if a view shows none."""
     camera = views[number].camera
@@ -198,7 +198,7 @@ class _Hull:
         # A cell that hardly any view shows is not proven to be anything.
         self._share = np.where(seen >= len(views) / 2, filled / np.maximum(seen, 1), 0)
 
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Floats:
+    def distances(self, number: int, pixels: Ints) -> Floats:
         """Distances to the hull along rays through pixels; to the grid's middle where they miss it."""
         view = self._views[number]
         found = np.full(len(pixels), self._distance)

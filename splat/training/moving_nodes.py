@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays
 from splat.model.gaussians import Gaussians, written
 from splat.model.motion import Dynamics
+from splat.model.points import Bits, Floats, Ints
 from splat.model.trees import BACKGROUND, Layer
 from splat.raster.differentiable import contributions
 from splat.training.training_view import TrainingView
@@ -35,7 +36,7 @@ class Attachment:
         self._off = shown.longest.double().numpy() + _OFF * self._distance
         self._slope = _slope(view.distance)
 
-    def on(self, labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def on(self, labels: NDArray[np.int32]) -> Bits:
         """(N, C) whether nodes are, within their size, on a surface with a label (C,) around their centre.
 
         At an edge in the view, a node in front is so on the surface in front only.
@@ -48,7 +49,7 @@ class Attachment:
             found |= self._near(at)[:, None] & (self._instance[at][:, None] == labels)
         return found
 
-    def ways(self, label: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def ways(self, label: int) -> tuple[Floats, Bits]:
         """Ways (N, 3) to the planes of a label at centres, 0 where not near, and (N,) which are near."""
         at = self._row, self._column
         camera = self._view.camera
@@ -60,7 +61,7 @@ class Attachment:
         way = ((seen - self._means) * normal).sum(axis=1, keepdims=True) * normal
         return np.where(near[:, None], way, 0), near
 
-    def _near(self, at: tuple[NDArray[np.int64], NDArray[np.int64]]) -> NDArray[np.bool_]:
+    def _near(self, at: tuple[Ints, Ints]) -> Bits:
         """(N,) whether nodes are about as far away as what pixels (N,), around their centres, show."""
         near = np.abs(self._view.distance[at] - self._distance) < self._off + self._slope[at]
         return np.asarray(self._inside & near)
