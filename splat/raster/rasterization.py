@@ -114,20 +114,25 @@ def rasterization(  # noqa: PLR0913 the arguments of gsplat
             (..., N, K, 3) or (..., C, N, K, 3), to which 0.5 is added.
         viewmats: (..., C, 4, 4) world to camera, x to the right, y down, z forward.
         Ks: (..., C, 3, 3) focal lengths and principal points in pixels.
-        width, height: of the images in pixels.
-        near_plane, far_plane: depths between which Gaussians are drawn.
+        width: of the images in pixels.
+        height: of the images in pixels.
+        near_plane: least depth at which Gaussians are drawn.
+        far_plane: greatest depth at which Gaussians are drawn.
         radius_clip: Gaussians that reach no more pixels from their centre than this are not drawn.
         eps2d: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
         sh_degree: 0 to 3, harmonics up to which count; None if `colors` are colours.
         packed: whether `meta` lists what is drawn, M pairs of camera and Gaussian, in place of all; the
             images are the same.
-        tile_size, sparse_grad, channel_chunk, segmented: change nothing here.
+        tile_size: changes nothing here, and nor do `sparse_grad`, `channel_chunk` and `segmented`.
         backgrounds: (..., C, D) colours behind all Gaussians; depths have none. Black by default.
         render_mode: "RGB" colours; "D" sums of depths times weights; "ED" these over the opacity, expected
             depths; "RGB+D", "RGB+ED" both, depth last.
+        sparse_grad: see `tile_size`.
         absgrad: whether backward writes `meta["means2d"].absgrad`, sums over pixels of the absolute values of
             their derivatives (Ye et al., AbsGS, 2024).
         rasterize_mode: "classic", or "antialiased": opacities make up for what the filter adds.
+        channel_chunk: see `tile_size`.
+        segmented: see `tile_size`.
         others: `camera_model`, `covars`, `distributed`, `with_ut`, `with_eval3d`, `rolling_shutter`,
             `viewmats_rs` and the coefficients of distortion, at their defaults only.
 
