@@ -21,8 +21,7 @@ from compose.eye.acuity import acuity_model_named
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import MOST_LEVEL
-from splat.model.cuts import Bits
-from splat.model.points import Ints
+from splat.model.points import Bits, Ints
 
 VERSION = 1
 # Of WebSockets: another version is refused before anything is sent.

@@ -50,9 +50,9 @@ from hybrid.window.remote.protocol import (
     encoded_mask,
 )
 from splat.io.forest_file import save_forest
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
-from splat.raster.complete_cut import CompleteCuts
+from splat.model.points import Bits
+from splat.raster.cut import CompleteCuts
 
 _LOG = logging.getLogger("hybrid")
 # Masks on their way to a client, or back as an answer: at 60 per second, .4 seconds of them, for which one
