@@ -153,7 +153,7 @@ def folder(tmp_path):
 
 
 def page_of(folder, **changes: object) -> str:
-    write_page(folder / "index.html", folder, RESULT | changes)
+    write_page(folder, RESULT | changes)
     return (folder / "index.html").read_text(encoding="utf-8")
 
 
@@ -249,7 +249,7 @@ def test_a_page_that_cannot_be_written_is_named(folder):
 def test_quality_has_a_row_per_method_and_one_for_the_references():
     found = content.evaluation()
     shown = quality_table(Results(found), "foveal")
-    assert (shown["region"], shown["metrics"]) == ("foveal", ["flip", "jod"])
+    assert (shown["region"], shown["columns"]) == ("foveal", ["flip", "jod"])
     cells = {(row["method"], row["budget"]): row["cells"] for row in shown["rows"]}
     assert cells["hybrid, fused", "fixed"] == ["0.1000", "9.00"]
     assert cells["rmfr, tuned", "equal-time"] == ["0.2000", "8.00"]
