@@ -184,13 +184,13 @@ def test_without_a_name_the_newest_forest_of_the_scene_is_used(made, monkeypatch
     assert "training one first" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["staircase2", "veach-bidir"])
-def test_scenes_in_the_wild_go_through_every_command(name, monkeypatch, tmp_path):
+@pytest.mark.parametrize(("name", "fovea"), [("staircase2", "raw"), ("veach-bidir", "fused")])
+def test_scenes_in_the_wild_go_through_every_command(name, fovea, monkeypatch, tmp_path):
     scene = real_file(f"scenes/{name}/scene.xml")
     assert run(monkeypatch, "capture", scene, tmp_path / "frames", *TINY_CAPTURE) == 0
     assert run(monkeypatch, "train", tmp_path / "frames", tmp_path / "f", *TINY_TRAINING) == 0
     common = [scene, "--forest", tmp_path / "f", "--size", 64, 48]
-    assert run(monkeypatch, "render", *common, "-o", tmp_path / "a.exr") == 0
+    assert run(monkeypatch, "render", *common, "--fovea", fovea, "-o", tmp_path / "a.exr") == 0
     aovs = read_exr(tmp_path / "a.exr")
     assert all(np.isfinite(aovs[f"composite.{c}"]).all() for c in "RGB")
     assert aovs["composite.G"].mean() > 0.01

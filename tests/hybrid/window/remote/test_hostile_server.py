@@ -56,10 +56,10 @@ class Scripted:
             self.scripts.get(timeout=LONG)(connection)
 
     def close(self) -> None:
-        self._server.shutdown()
-        # For connections that wait to be told.
+        # For connections that wait to be told, which shutting down waits for.
         for _ in range(100):
             self.scripts.put(lambda connection: None)
+        self._server.shutdown()
 
 
 @pytest.fixture
