@@ -210,7 +210,7 @@ def test_only_the_second_kernel_looks_up_what_is_seen_from_inside(furnace, monke
         # Cells of all sizes and all light may answer, and nearly all points are known.
         assert known.numpy().mean() > 0.9
         assert (area.numpy() == np.inf).all()
-        assert (segments.numpy() >= len(cache.answer)).all()
+        assert (segments.numpy() >= len(cache.irradiance)).all()
         light = answer.numpy().T[known.numpy()]
         assert light.mean() == pytest.approx(np.pi, rel=0.05)
         jitters.append(jitter.numpy())
