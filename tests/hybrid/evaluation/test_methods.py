@@ -25,7 +25,6 @@ from hybrid.evaluation.methods import (
     WarpTuning,
     enlarged,
     families,
-    traced_image,
     warped,
 )
 from hybrid.measure.image_metrics import psnr, registration_px
@@ -113,9 +112,8 @@ def tracer(backend) -> Tracer:
 
 def image(tracer: Tracer, spp: float, seed: int = 3, denoised: bool = False, clock: PassClock | None = None):
     camera = tracer.scene.camera.resized(WIDTH, HEIGHT)
-    return traced_image(
-        tracer, camera, frame_positions(camera), WIDTH, spp, seed, denoised, clock or PassClock()
-    )
+    positions, clock = frame_positions(camera), clock or PassClock()
+    return FullTrace(tracer, spp, denoised).traced(camera, positions, WIDTH, seed, clock)
 
 
 def test_a_fraction_of_a_sample_goes_to_a_fraction_of_the_pixels(tracer, monkeypatch):
@@ -167,7 +165,7 @@ TRACED_GAZE = Gaze(0.4, 0.55)
 def test_an_enlarged_frame_of_full_size_is_the_full_frame(tracer):
     camera = tracer.scene.camera.resized(48, 32)
     full = FullTrace(tracer, 2, denoised=False).render(View(camera), TRACED_GAZE, 3)
-    same = Enlarged(tracer, 1.0, 2, denoised=False).render(View(camera), TRACED_GAZE, 3)
+    same = Enlarged(tracer, 2, False, 1.0).render(View(camera), TRACED_GAZE, 3)
     np.testing.assert_allclose(same.image, full.image, rtol=1e-5, atol=1e-6)
 
 
@@ -176,8 +174,8 @@ def test_passes_are_named_and_add_up(tracer):
     for method, passes in (
         (FullTrace(tracer, 1, denoised=False), {"trace"}),
         (FullTrace(tracer, 1, denoised=True), {"trace", "denoise"}),
-        (Enlarged(tracer, 0.5, 1, denoised=False), {"trace", "enlarge"}),
-        (Rmfr(tracer, 0.4, 1.5, 1, denoised=True), {"trace", "denoise", "enlarge"}),
+        (Enlarged(tracer, 1, False, 0.5), {"trace", "enlarge"}),
+        (Rmfr(tracer, 1, True, 0.4, 1.5), {"trace", "denoise", "enlarge"}),
     ):
         milliseconds = method.render(View(camera), TRACED_GAZE, 0).milliseconds
         assert set(milliseconds) == {*passes, "total"}
@@ -190,9 +188,9 @@ def test_baselines_line_up_and_converge_to_a_blurred_full_frame(tracer, kind):
     camera = tracer.scene.camera.resized(96, 96)
     truth = FullTrace(tracer, 64, denoised=True).render(View(camera), TRACED_GAZE, 0).image
     if kind == "enlarged":
-        image = Enlarged(tracer, 0.25, 64, denoised=False).render(View(camera), TRACED_GAZE, 1).image
+        image = Enlarged(tracer, 64, False, 0.25).render(View(camera), TRACED_GAZE, 1).image
     else:
-        image = Rmfr(tracer, 0.4, 1.5, 64, denoised=False).render(View(camera), TRACED_GAZE, 1).image
+        image = Rmfr(tracer, 64, False, 0.4, 1.5).render(View(camera), TRACED_GAZE, 1).image
     assert image.shape == truth.shape
     assert image.min() >= 0
     assert psnr(image, truth) > 20
@@ -208,14 +206,14 @@ def test_baselines_line_up_and_converge_to_a_blurred_full_frame(tracer, kind):
 def test_enlarging_is_bicubic_and_keeps_pixels_where_they_are(tracer, monkeypatch):
     """A ramp, traced with half of the resolution, comes back as the same ramp; overshoot is cut at 0."""
 
-    def ramp(tracer, camera, positions, columns, *rest):
+    def ramp(method, camera, positions, columns, *rest):
         rows = positions.count // columns
         across = (np.arange(columns) + 0.5) * camera.width / columns
         return np.broadcast_to(across[None, :, None], (rows, columns, 3)).astype(np.float32).copy()
 
-    monkeypatch.setattr(path_traced, "traced_image", ramp)
+    monkeypatch.setattr(path_traced._PathTraced, "traced", ramp)
     camera = tracer.scene.camera.resized(48, 32)
-    image = Enlarged(tracer, 0.25, 1, denoised=False).render(View(camera), TRACED_GAZE, 0).image
+    image = Enlarged(tracer, 1, False, 0.25).render(View(camera), TRACED_GAZE, 0).image
     assert image.shape == (32, 48, 3)
     expected = np.broadcast_to((np.arange(48) + 0.5)[None, :, None], (32, 48, 3))
     # A ramp comes back exactly only in the limit; an offset of half a pixel would be 0.5 or more.
@@ -225,8 +223,8 @@ def test_enlarging_is_bicubic_and_keeps_pixels_where_they_are(tracer, monkeypatc
         image = ramp(*arguments)
         return np.where(image < 24, 0, 5).astype(np.float32)
 
-    monkeypatch.setattr(path_traced, "traced_image", edge)
-    image = Enlarged(tracer, 0.25, 1, denoised=False).render(View(camera), TRACED_GAZE, 0).image
+    monkeypatch.setattr(path_traced._PathTraced, "traced", edge)
+    image = Enlarged(tracer, 1, False, 0.25).render(View(camera), TRACED_GAZE, 0).image
     assert image.min() == 0
     assert image.max() > 5.1
 
@@ -236,17 +234,17 @@ def test_rays_are_what_is_traced(tracer, monkeypatch):
     camera = tracer.scene.camera.resized(90, 60)
     traced = []
 
-    def counted(tracer, camera, positions, columns, spp, seed, denoised, clock):
-        traced.append(positions.count * spp / (camera.width * camera.height))
+    def counted(method, camera, positions, columns, *rest):
+        traced.append(positions.count * method.spp / (camera.width * camera.height))
         return np.zeros((positions.count // columns, columns, 3), dtype=np.float32)
 
-    monkeypatch.setattr(path_traced, "traced_image", counted)
+    monkeypatch.setattr(path_traced._PathTraced, "traced", counted)
     for method, rays in (
         (FullTrace(tracer, 3, denoised=False), 3),
         (FullTrace(tracer, 1.25, denoised=True), 1.25),
-        (Enlarged(tracer, 0.25, 2, denoised=True), 0.5),
-        (Enlarged(tracer, 1e-9, 2, denoised=True), 2 / 5400),
-        (Rmfr(tracer, 0.1, 3.0, 2, denoised=False), 2 / 9),
+        (Enlarged(tracer, 2, True, 0.25), 0.5),
+        (Enlarged(tracer, 2, True, 1e-9), 2 / 5400),
+        (Rmfr(tracer, 2, False, 0.1, 3.0), 2 / 9),
     ):
         assert method.rays(camera, TRACED_GAZE) == pytest.approx(rays)
         method.render(View(camera), TRACED_GAZE, 0)
@@ -255,14 +253,14 @@ def test_rays_are_what_is_traced(tracer, monkeypatch):
 
 def test_settings_tell_methods_apart_in_tables(tracer):
     assert FullTrace(tracer, 2.5, denoised=True).settings == {"spp": 2.5}
-    assert Enlarged(tracer, 0.25, 4, denoised=True).settings == {"spp": 4, "scale": 0.5}
-    rmfr = Rmfr(tracer, 0.4, 1.5, 2, denoised=True).settings
+    assert Enlarged(tracer, 4, True, 0.25).settings == {"spp": 4, "scale": 0.5}
+    rmfr = Rmfr(tracer, 2, True, 0.4, 1.5).settings
     assert rmfr == {"spp": 2, "f": 0.4, "sigma": 1.5, "denoised": "true"}
 
 
 def test_the_same_seed_gives_the_same_frame(tracer):
     camera = tracer.scene.camera.resized(48, 32)
-    method = Rmfr(tracer, 0.1, 2.0, 2, denoised=True)
+    method = Rmfr(tracer, 2, True, 0.1, 2.0)
     one, same, other = (method.render(View(camera), TRACED_GAZE, seed).image for seed in (5, 5, 6))
     np.testing.assert_array_equal(one, same)
     assert np.abs(one - other).max() > 0
@@ -420,8 +418,8 @@ def method_of(name: str, scene: Scene, forest: Forest) -> Method:
         "hybrid": HybridMethod(renderer, FrameSettings(fovea="denoised", spp=2)),
         "splats": SplatsAlone(Periphery(device_arrays(), forest)),
         "full": FullTrace(renderer.tracer, 8, denoised=True),
-        "enlarged": Enlarged(renderer.tracer, 1.0, 8, denoised=True),
-        "rmfr": Rmfr(renderer.tracer, 0.4, 1.5, 8, denoised=True),
+        "enlarged": Enlarged(renderer.tracer, 8, True, 1.0),
+        "rmfr": Rmfr(renderer.tracer, 8, True, 0.4, 1.5),
     }[name]
 
 

@@ -204,18 +204,18 @@ def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(wri
 def test_every_timed_frame_pays_for_what_its_camera_shows(written, monkeypatch):
     """Rows share renderers, which keep what depends on the camera alone: saliency, for one."""
     features, cameras = [], set()
-    look, trace = saliency.saliency, path_traced.traced_image
+    look, trace = saliency.saliency, path_traced._PathTraced.traced
 
     def counted(image):
         features.append(image.shape)
         return look(image)
 
-    def traced(tracer, camera, *rest):
+    def traced(method, camera, *rest):
         cameras.add(camera.key)
-        return trace(tracer, camera, *rest)
+        return trace(method, camera, *rest)
 
     monkeypatch.setattr(saliency, "saliency", counted)
-    monkeypatch.setattr(path_traced, "traced_image", traced)
+    monkeypatch.setattr(path_traced._PathTraced, "traced", traced)
     rows = written("radius")["rows"]
     assert len(features) == len(rows) * (3 + 1)
     assert len(cameras) == 2 * (3 + 1)
