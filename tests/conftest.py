@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Each has a core of its own; torch's threads would wait for those of the others.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from compose.base.arrays import Arrays
 from pathtrace.scene.backend import Backend, select_backend
