@@ -179,8 +179,8 @@ def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any
     }
 
 
-def _connected(address: str, token: str | None) -> connect:
-    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+def _connected(address: str, token: str) -> connect:
+    headers = {"Authorization": f"Bearer {token}"}
     protocols = [Subprotocol(SUBPROTOCOL)]
     return connect(address, additional_headers=headers, subprotocols=protocols, compression=None, proxy=None)
 
