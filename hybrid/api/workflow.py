@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.base.progress import Progress, bars_of, no_progress
 from pathtrace.scene.backend import select_backend
-from pathtrace.trace.integrator import Integrator, integrator_named
+from pathtrace.trace import Integrator, integrator_named
 
 if TYPE_CHECKING:
     from hybrid.evaluation.evaluation_settings import EvaluationSettings

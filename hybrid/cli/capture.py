@@ -10,7 +10,7 @@ from typing import Annotated
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_SPP
-from pathtrace.trace.integrator import Integrator, integrator_named
+from pathtrace.trace import Integrator, integrator_named
 
 _MOST_VIEWS = 100_000
 

@@ -22,7 +22,7 @@ from compose.base.files import json_text, write_text
 from compose.camera.camera import Camera
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_LEVEL, MOST_SPP, FrameSettings
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from splat.model.choices import Precision
 
 if TYPE_CHECKING:

@@ -19,11 +19,11 @@ from hybrid.measure.frame_times import percentiles
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.render.irradiance import filled_cache
 from pathtrace.cache.irradiance_cache import IrradianceCache, look_up
+from pathtrace.scene.instances import FrozenWithScenes
 from pathtrace.scene.scene import Scene
+from pathtrace.trace import Integrator
 from pathtrace.trace.film import frame_positions, opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
-from pathtrace.trace.frozen import FrozenWithScenes
-from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
 
@@ -173,7 +173,7 @@ def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
             times[asks].append(time.perf_counter() - start)
     # The first of each kind compiles.
     seconds = {asks: float(np.median(measured[1:])) for asks, measured in times.items()}
-    count = max(int(np.count_nonzero(valid)), 1) * _LOOK_UPS
+    count = max(int(np.count_nonzero(valid.numpy())), 1) * _LOOK_UPS
     return 1e9 * max(seconds[True] - seconds[False], 0.0) / count
 
 

@@ -27,8 +27,7 @@ from hybrid.base.compute_device import PassClock
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 from hybrid.render.periphery import Periphery
-from pathtrace.trace.film import FilmPositions, box_positions, frame_positions
-from pathtrace.trace.sampling import fractional_counts
+from pathtrace.trace.film import FilmPositions, box_positions, fractional_counts, frame_positions
 from pathtrace.trace.traced_images import TracedImage, auxiliary_images, radiance_image, trace_image
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 

@@ -31,8 +31,8 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
 from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.scene import Scene
+from pathtrace.trace import Integrator
 from pathtrace.trace.film import frame_positions
-from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.model.forest import Forest
 

@@ -17,7 +17,7 @@ from compose.eye.gaze import Gaze
 from compose.image.colour import LEAST_ERROR, decibels, luminance, srgb_from_radiance
 from hybrid.preparation.scene_look import HALF_SPP, Look
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
-from pathtrace.region.viewing_regions import NEAR
+from pathtrace.region import NEAR
 from pathtrace.scene.scene import DEPTH, ROULETTE, RUSSIAN_ROULETTE_DEPTH, Scene
 from pathtrace.trace.path_depths import MOST_SEGMENTS, UNBOUNDED, depth_shares, path_costs
 from splat.model.gaussians import MAX_DEGREE, sh_count

@@ -9,8 +9,8 @@ import numpy as np
 from hybrid.preparation.decisions import REGION, Decision, Value
 from hybrid.preparation.scene_look import Look
 from hybrid.preparation.stages import Needs
+from pathtrace.region import NEAR, ViewingRegion
 from pathtrace.region.view_coverage import ViewCoverage
-from pathtrace.region.viewing_regions import NEAR, ViewingRegion
 from pathtrace.scene.triangles import Surfaces
 from splat.training.clusters import HitTree
 from splat.training.initialization import hits_of

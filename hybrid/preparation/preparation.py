@@ -42,11 +42,11 @@ from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
+from pathtrace.region import ViewingRegion, region_of
 from pathtrace.region.neighbourhood import view_time
-from pathtrace.region.viewing_regions import ViewingRegion, region_of
-from pathtrace.scene.difficulties import light_difficulties
+from pathtrace.scene.optics import light_difficulties
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.io.forest_file import load_forest, save_forest
 from splat.model.dynamic_light import SurfaceLight

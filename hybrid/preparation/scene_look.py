@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera, View
 from compose.image.colour import Image
+from pathtrace.region import ViewingRegion
 from pathtrace.region.neighbourhood import view_time
-from pathtrace.region.viewing_regions import ViewingRegion
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions, interleaved

@@ -38,8 +38,8 @@ from hybrid.preparation.decisions import (
 from hybrid.preparation.gaussian_count import GAUSSIANS, breadth_of, gaussians_decision
 from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
 from hybrid.render.frame_settings import MOST_SPP
-from pathtrace.region.viewing_regions import NEAR, region_of
-from pathtrace.scene.difficulties import light_difficulties
+from pathtrace.region import NEAR, region_of
+from pathtrace.scene.optics import light_difficulties
 from pathtrace.scene.scene import DEPTH, ROULETTE, Scene, load_scene
 from splat.model.gaussians import MAX_DEGREE
 

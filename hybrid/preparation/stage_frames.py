@@ -17,8 +17,8 @@ from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
+from pathtrace.region import ViewingRegion
 from pathtrace.region.neighbourhood import view_time
-from pathtrace.region.viewing_regions import ViewingRegion
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer

@@ -18,7 +18,7 @@ from compose.image.colour import Image
 from compose.image.device_image import DeviceImage
 from compose.image.outliers import MOST, all_plain, filled, outliers
 from hybrid.base.compute_device import device_arrays
-from pathtrace.trace.denoise import denoise, denoise_coarsely
+from pathtrace.trace.traced_images import denoise, denoise_coarsely
 
 
 @dataclass(frozen=True)

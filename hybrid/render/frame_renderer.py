@@ -32,8 +32,8 @@ from hybrid.render.hole_filling import MOVING, STILL, Fill, Filler
 from hybrid.render.irradiance import CachedTracer, cache_for, filled_cache
 from hybrid.render.periphery import Periphery
 from pathtrace.scene.scene import Scene
+from pathtrace.trace import Integrator
 from pathtrace.trace.film import frame_positions
-from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.lod.layer_images import SplatImage, black_image
 from splat.model.forest import Forest

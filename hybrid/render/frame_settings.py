@@ -13,7 +13,7 @@ from compose.eye.acuity import COARSEST_RATE, DEFAULT_ACUITY_MODEL, acuity_model
 from compose.eye.display import DISPLAYS, Display, display_named
 from compose.eye.gaze import FURTHEST, Gaze
 from compose.fovea.foveation import FoveaMode, Foveation, Placement
-from pathtrace.trace.integrator import Integrator, integrator_named
+from pathtrace.trace import Integrator, integrator_named
 
 Given = TypeVar("Given")
 Kept = TypeVar("Kept")

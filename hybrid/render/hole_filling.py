@@ -26,9 +26,9 @@ from compose.camera.seen_surfaces import SeenSurfaces
 from compose.fovea.disc import Disc, blend
 from compose.image.device_image import DeviceImage
 from hybrid.render.forest_attachments import views_of
-from pathtrace.trace.denoise import denoise
 from pathtrace.trace.film import FilmPositions, box_positions, interleaved, pixel_positions
 from pathtrace.trace.first_hit import SKY_DISTANCE
+from pathtrace.trace.traced_images import denoise
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest

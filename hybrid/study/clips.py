@@ -29,7 +29,7 @@ from hybrid.render.image_files import write_srgb
 from hybrid.render.video import ViewPath
 from hybrid.study.design import ANCHOR, REFERENCE, Clip, StudyMethod, Timing
 from pathtrace.region.neighbourhood import unseen_views
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 
 CLIPS = "clips"
 # What checks attention is the reference with pixels this many times as large: nobody takes it for the others.

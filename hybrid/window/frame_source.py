@@ -25,7 +25,7 @@ from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 
 # Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
 _PATIENT_SPP = 6

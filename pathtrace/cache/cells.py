@@ -8,12 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float32]
+Indices: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
 
 # Sides of the cells of each level, in units of the cells' scale.
 SIDES = (0.02, 0.08, 0.4)
@@ -34,8 +38,8 @@ _PROBES, _ROOM = 4, 3
 class Points:
     """N points on surfaces: positions (N, 3) in the world, and unit normals (N, 3) of the lit side."""
 
-    position: NDArray[np.float32]
-    normal: NDArray[np.float32]
+    position: Floats
+    normal: Floats
 
     @staticmethod
     def none() -> Points:
@@ -45,6 +49,11 @@ class Points:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    @property
+    def arrays(self) -> tuple[mi.Point3f, mi.Normal3f]:
+        """Positions and normals as Dr.Jit arrays."""
+        return mi.Point3f(self.position.T), mi.Normal3f(self.normal.T)
 
     def take(self, chosen: NDArray[Any]) -> Points:
         """Some of the points, by index or mask."""
@@ -61,7 +70,7 @@ def joined_points(parts: Sequence[Points]) -> Points:
 class Grid:
     """Where cells lie: an origin (3,) in the world, and a typical distance there, the unit of their sides."""
 
-    origin: NDArray[np.float32]
+    origin: Floats
     scale: float
 
     def keys(self, points: Points, level: int) -> NDArray[np.uint64]:
@@ -78,28 +87,24 @@ class Grid:
         return arrays
 
 
+# Of NumPy or Dr.Jit.
+_Integers = TypeVar("_Integers")
+
 # Whether nothing lies between points, given by their indices (M,) each, and the side of their cell.
-Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool_]]
+Joined = Callable[[Indices, Indices, float], Mask]
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """C cells of a grid, one level after the other.
-
-    Of each level there are (C_l,) names of its cells, sorted, and (C_l,) numbers of points in them.
-    """
+    """C cells of a grid, one level after the other."""
 
     grid: Grid
-    keys: tuple[NDArray[np.uint64], ...]
-    counts: tuple[NDArray[np.int64], ...]
+    keys: tuple[NDArray[np.uint64], ...]  # (C_l,) names of the cells of each level, sorted
+    counts: tuple[Indices, ...]  # (C_l,) numbers of points in them
 
     @staticmethod
     def of(points: Points, grid: Grid, joined: Joined) -> Cells:
-        """The cells in which points on the scene's surfaces lie.
-
-        A cell that something divides, a thin wall for example, is left out: its mean would carry light from
-        one side to the other.
-        """
+        """The cells of points on surfaces, but for those that something, such as a thin wall, divides."""
         keys, counts = [], []
         for level, side in enumerate(SIDES):
             key = grid.keys(points, level)
@@ -113,15 +118,14 @@ class Cells:
         return Cells(grid, tuple(keys), tuple(counts))
 
     @cached_property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """(C,) whether enough points lie in each cell to show its mean."""
         return np.concatenate([n >= fewest for n, fewest in zip(self.counts, _FEWEST, strict=True)])
 
-    def smallest(self, points: Points) -> NDArray[np.int64]:
+    def smallest(self, points: Points) -> Indices:
         """(N,) index of the smallest cell that each point lies in, whether enough is known of it or not.
 
-        Larger cells reach past edges behind which it may be much brighter. That few points are noisy does not
-        matter where very many are averaged.
+        Larger cells reach past edges behind which it may be much brighter.
         """
         smallest = np.full(len(points), -1)
         for cell in reversed(self.indices(points)):
@@ -138,7 +142,7 @@ class Cells:
     def __len__(self) -> int:
         return sum(len(keys) for keys in self.keys)
 
-    def indices(self, points: Points) -> NDArray[np.int64]:
+    def indices(self, points: Points) -> Indices:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
         start, found = 0, []
         for level, keys in enumerate(self.keys):
@@ -150,20 +154,18 @@ class Cells:
         return np.stack(found)
 
 
-def _names(
-    position: NDArray[np.float32], normal: NDArray[np.float32], level: int
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+def _names(position: Floats, normal: Floats, level: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Two names (N,) of the cells of a level; positions are in units of the scale, from the origin."""
     x, y, z = np.floor(position / np.float32(SIDES[level])).astype(np.int64).astype(np.uint32).T
     axis = np.abs(normal).argmax(axis=1)
     orientation = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
     kind = (orientation + _ORIENTATIONS * level).astype(np.uint32)
-    first, second = (_mixed(x, y, z, kind, factors, np.uint32) for factors in _FACTORS)
+    first, second = (_mixed((x, y, z, kind), factors, np.uint32) for factors in _FACTORS)
     # 0 marks an empty place in a table.
     return first, second | np.uint32(1)
 
 
-def cell_names_jit(position: Any, normal: Any, level: int) -> tuple[Any, Any]:
+def cell_names_jit(position: mi.Point3f, normal: mi.Normal3f, level: int) -> tuple[Any, Any]:
     """Two names of the cells of a level that N Mitsuba points lie in, from points and their normals."""
     x, y, z = (mi.UInt32(mi.Int32(values)) for values in dr.floor(position / SIDES[level]))
     size = dr.abs(normal)
@@ -172,27 +174,25 @@ def cell_names_jit(position: Any, normal: Any, level: int) -> tuple[Any, Any]:
     axis = dr.select((size.x >= size.y) & (size.x >= size.z), mi.UInt32(0), last)
     along = dr.select(axis == 0, normal.x, dr.select(axis == 1, normal.y, normal.z))
     kind = 2 * axis + dr.select(along > 0, mi.UInt32(1), mi.UInt32(0)) + _ORIENTATIONS * level
-    first, second = (_mixed(x, y, z, kind, factors, mi.UInt32) for factors in _FACTORS)
+    first, second = (_mixed((x, y, z, kind), factors, mi.UInt32) for factors in _FACTORS)
     return first, second | 1
 
 
-def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer: Any) -> Any:
-    """32 bits in which neighbouring cells have nothing in common.
+def _mixed(parts: Sequence[Any], factors: tuple[int, ...], integer: Callable[[int], _Integers]) -> _Integers:
+    """32 bits in which neighbouring cells have nothing in common, by the finalizer of MurmurHash3 (Appleby).
 
-    The sum of products gives cells near each other different numbers, which an exclusive or would not; the
-    rest is the finalizer of MurmurHash3 (Appleby).
+    A sum of products gives cells near each other different numbers, which an exclusive or would not.
     """
-    bits = sum(part * integer(factor) for part, factor in zip((x, y, z, kind), factors, strict=True))
+    bits = sum(part * integer(factor) for part, factor in zip(parts, factors, strict=True))
     bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)
     bits = (bits ^ (bits >> integer(13))) * integer(0xC2B2AE35)
     return bits ^ (bits >> integer(16))
 
 
 class Table:
-    """Where cells are found by their names, in T places, a power of two; open addressing.
+    """Finds cells, given by their keys (C,), by their names: an open hash table of a power of two places.
 
-    Each has the second name and the index of a cell; a name of 0 stands for none. Cells are given by their
-    keys (C,), as those of `Grid.keys`.
+    Each place has the second name and the index of a cell; a name of 0 stands for none.
     """
 
     def __init__(self, keys: NDArray[np.uint64]):
@@ -222,7 +222,7 @@ class Table:
         return not len(waiting)
 
 
-def find(table: tuple[Any, Any], first: Any, second: Any, active: Any) -> tuple[Any, Any]:
+def find(table: tuple[Any, Any], first: mi.UInt32, second: mi.UInt32, active: mi.Bool) -> tuple[Any, Any]:
     """Whether a `Table` has N cells, given by their names, and their indices (0 where it has not)."""
     names, indices = table
     last = dr.width(names) - 1

@@ -15,10 +15,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import SIDES, Cells, Floats, Grid, Points, Table, cell_names_jit, find
 from pathtrace.cache.light_selection import LightChoice, LightSamples
 from pathtrace.cache.transport import Transfer
 
@@ -28,28 +27,20 @@ _SMALLEST = 1e-20
 
 @dataclass(frozen=True, eq=False)
 class IrradianceCache:
-    """Irradiance of C cells, by the number of path segments that it took from a light at most.
-
-    A path that has few segments left gets the light of few segments, as one that was traced on would.
-
-    Attributes:
-        cells: the cells.
-        irradiance: (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
-        lights: chances with which paths choose lights.
-        transfer: what it takes to follow lights that change.
-        renewed: share of the work that was done to follow their last change; below 1, some of the light is
-            an estimate from the light before.
-    """
+    """Irradiance of C cells, by the number of path segments that it took from a light at most."""
 
     cells: Cells
-    irradiance: NDArray[np.float32]
-    lights: LightChoice
-    transfer: Transfer
+    # (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
+    irradiance: Floats
+    lights: LightChoice  # chances with which paths choose lights
+    transfer: Transfer  # what it takes to follow lights that change
+    # Share of the work that was done to follow their last change; below 1, some light is an estimate.
     renewed: float = 1.0
 
     @staticmethod
-    def empty(grid: Grid, lights: int) -> IrradianceCache:
+    def empty(lights: int) -> IrradianceCache:
         """A cache that knows no cell, so that no path ends in it, of a scene with a number of lights."""
+        grid = Grid(np.zeros(3, dtype=np.float32), 1.0)
         cells = Cells.of(Points.none(), grid, lambda one, other, side: np.ones(len(one), dtype=bool))
         nothing = np.zeros(0, dtype=np.int64)
         dark = LightSamples(nothing, nothing, np.zeros(0, dtype=np.float32))
@@ -65,7 +56,7 @@ class IrradianceCache:
     def _table(self) -> Table:
         return Table(np.concatenate(self.cells.keys))
 
-    def arrays(self, scene: Any) -> CacheArrays:
+    def arrays(self, scene: mi.Scene) -> CacheArrays:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
@@ -93,17 +84,22 @@ class CacheArrays:
 
 
 def look_up(
-    arrays: tuple[Any, ...], position: Any, normal: Any, area: Any, segments: Any, jitter: Any, active: Any
+    arrays: tuple[Any, ...],
+    position: mi.Point3f,
+    normal: mi.Normal3f,
+    area: mi.Float,
+    segments: mi.UInt32,
+    jitter: mi.Point2f,
+    active: mi.Bool,
 ) -> tuple[Any, Any]:
     """Mask of the paths that get an answer, and irradiance (Color3f), from the smallest cells that are known.
 
     Args:
         arrays: of an `IrradianceCache`.
-        position, normal: N Mitsuba points and unit normals of the lit side.
+        position, normal: N points and unit normals of the lit side.
         area: (N,) area over which the paths that ask have spread; cells must not be larger.
         segments: (N,) number of segments that these paths may still take, at least 1.
-        jitter: N random points in 0..1, by which neighbouring cells are chosen near borders: the grid must
-            not show.
+        jitter: N random points in 0..1, which choose neighbouring cells near borders, so that no grid shows.
         active: (N,) mask of the paths that ask.
     """
     (origin, scale), table, steps, cells, *channels = arrays
@@ -123,16 +119,16 @@ def look_up(
     return known, mi.Color3f(*(dr.gather(mi.Float, channel, cell, known) for channel in channels))
 
 
-def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
+def irradiance_share(flags: mi.UInt32, wi: mi.Vector3f, wo: mi.Vector3f, pdf: mi.Float) -> mi.Float:
     """Share, 0 to 1, of the light scattered between N pairs of directions that irradiance stands for.
 
-    A cache gives that share, a path or shadow ray the rest. Both may then sample all of the surface's lobes,
-    in any way: a light is counted once in total. The share is 1 where directions are as dense as those of a
-    diffuse surface, falls towards the peaks of glossy lobes, and is 0 for mirrors and glass. Treating wide
-    glossy lobes as diffuse was 3 % too bright beside a floor of rough metal.
+    A cache gives that share, a path or shadow ray the rest, so that a light is counted once in total. It is 1
+    where directions are as dense as those of a diffuse surface, falls towards the peaks of glossy lobes, and
+    is 0 for mirrors and glass. Treating wide glossy lobes as diffuse was 3 % too bright beside a floor of
+    rough metal.
 
-    Given are Mitsuba BSDF flags, directions in the surface's frame, and the density with which the surface
-    samples `wo`; 0 for the only direction of a mirror.
+    Given are BSDF flags, directions in the surface's frame, and the density with which the surface samples
+    `wo`; 0 for the only direction of a mirror.
     """
     diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & (wi.z * wo.z > 0)
     even = dr.abs(wo.z) * dr.inv_pi
@@ -140,15 +136,12 @@ def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
     return dr.select(diffuse & (pdf > 0), dr.select(shows_lights(flags), share, 1), 0)
 
 
-def sampled_share(flags: Any, wi: Any, sample: Any) -> Any:
+def sampled_share(flags: mi.UInt32, wi: mi.Vector3f, sample: mi.BSDFSample3f) -> mi.Float:
     """`irradiance_share` of N sampled directions, given as Mitsuba BSDF samples."""
     delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
     return irradiance_share(flags, wi, sample.wo, dr.select(delta, 0, sample.pdf))
 
 
-def shows_lights(flags: Any) -> Any:
-    """Whether surfaces, by their BSDF flags, have lobes that show what is in some directions.
-
-    The others reflect irradiance only.
-    """
+def shows_lights(flags: mi.UInt32) -> mi.Bool:
+    """Whether surfaces have lobes that show what is in some directions; others reflect irradiance only."""
     return (flags & (mi.BSDFFlags.All & ~mi.BSDFFlags.Diffuse)) != 0

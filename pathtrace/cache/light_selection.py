@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import Floats, Grid, Indices, Points, Table, cell_names_jit, find
+from pathtrace.scene.instances import AnyScene
 
 # Surfaces that a shadow ray passes at most.
 _MOST = 32
@@ -26,12 +27,10 @@ _EVEN = 0.2
 
 
 @dr.syntax
-def transmittance(scene: Any, hit: Any, point: Any, active: Any) -> Any:
-    """Share of light (Color3f) that comes to N interactions from points, through what lets it pass.
-
-    Surfaces pass what their BSDF's null component does: thin glass, and the holes of masks. The share is 0
-    where the lane is not active.
-    """
+def transmittance(
+    scene: AnyScene, hit: mi.SurfaceInteraction3f, point: mi.Point3f, active: mi.Bool
+) -> mi.Color3f:
+    """Share of light (Color3f) from points that passes glass and masks to N interactions; 0 if inactive."""
     share = dr.select(active, mi.Color3f(1), 0)
     going, passed, ray = mi.Bool(active), mi.UInt32(0), hit.spawn_ray_to(point)
     while dr.hint(going, exclude=[scene]):
@@ -48,20 +47,14 @@ def transmittance(scene: Any, hit: Any, point: Any, active: Any) -> Any:
 
 @dataclass(frozen=True)
 class LightSamples:
-    """M samples of direct light: indices of their points and lights, and irradiance in any unit, (M,) each.
+    """M samples, each light as likely: indices of points and lights, irradiance in any unit, (M,) each."""
 
-    Each light had the same chance.
-    """
+    point: Indices
+    light: Indices
+    irradiance: Floats
 
-    point: NDArray[np.int64]
-    light: NDArray[np.int64]
-    irradiance: NDArray[np.float32]
-
-    def sums(self, places: NDArray[np.int64], count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Sums of squares by light (R, E), and numbers of samples (R,), at R = `count` places.
-
-        The samples lie in the places (M,), and there are E lights.
-        """
+    def sums(self, places: Indices, count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Sums of squares by light (R, E), and sample numbers (R,), at R places, by those (M,) of samples."""
         weights = self.irradiance.astype(float) ** 2
         squares = np.bincount(places * lights + self.light, weights=weights, minlength=count * lights)
         return squares.reshape(count, lights), np.bincount(places, minlength=count)
@@ -69,14 +62,11 @@ class LightSamples:
 
 @dataclass(frozen=True, eq=False)
 class LightChoice:
-    """Chances (R + 1, E) of E lights in R cells of a grid, above 0, with sum 1, by the names of the cells.
-
-    The last row is for all other places.
-    """
+    """Chances (R + 1, E), above 0, of E lights in R cells of a grid, by their names, and elsewhere."""
 
     grid: Grid
     keys: NDArray[np.uint64]
-    chances: NDArray[np.float32]
+    chances: Floats
 
     @staticmethod
     def of(samples: LightSamples, points: Points, grid: Grid, lights: int) -> LightChoice:
@@ -88,18 +78,15 @@ class LightChoice:
         chances = _chances(np.vstack([squares[kept], squares.sum(axis=0)]))
         return LightChoice(grid, key[kept], chances.astype(np.float32))
 
-    def rows(self, points: Points) -> NDArray[np.int64]:
+    def rows(self, points: Points) -> Indices:
         """(N,) row of the chances at each point."""
         key = self.grid.keys(points, _LEVEL)
         row = np.searchsorted(self.keys, key)
         known = np.append(self.keys, np.uint64(0))[row] == key
         return np.where(known, row, len(self.keys))
 
-    def arrays(self, scene: Any) -> tuple[Any, ...]:
-        """The choice of a Mitsuba scene's lights as Dr.Jit arrays for `Lights`.
-
-        These are grid, table, rows, light numbers, chances, and running sums.
-        """
+    def arrays(self, scene: mi.Scene) -> tuple[Any, ...]:
+        """For `Lights` in kernels: grid, table, rows, light numbers, chances, and running sums."""
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
         numbers = mi.UInt32(light_numbers(scene))
@@ -120,7 +107,7 @@ class LightLearning:
         self._squares: NDArray[np.float64] = np.zeros_like(before.chances, dtype=float)
         self._numbers = np.zeros(len(before.chances), dtype=np.int64)
 
-    def add(self, samples: LightSamples, rows: NDArray[np.int64]) -> None:
+    def add(self, samples: LightSamples, rows: Indices) -> None:
         """Adds samples, given the row of the chances at each of the points that they belong to."""
         count, lights = self._squares.shape
         squares, numbers = samples.sums(rows[samples.point], count, lights)
@@ -137,7 +124,6 @@ class LightLearning:
 
 
 def _chances(squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Chances (R, E) from sums of squared samples."""
     lights = squares.shape[1]
     # The chances with the least variance are as the root mean squares.
     rows = np.sqrt(squares)
@@ -146,9 +132,9 @@ def _chances(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     return _EVEN / lights + (1 - _EVEN) * learnt
 
 
-def light_numbers(scene: Any) -> NDArray[np.uint32]:
+def light_numbers(scene: AnyScene) -> NDArray[np.uint32]:
     """Index of each light in the scene, by the number by which kernels know it."""
-    registered = dr.reinterpret_array(mi.UInt32, scene.emitters_dr()).numpy()
+    registered = mi.UInt32(dr.reinterpret_array(mi.UInt32, scene.emitters_dr())).numpy()
     numbers = np.zeros(int(registered.max()) + 1, dtype=np.uint32)
     numbers[registered] = np.arange(len(registered))
     return numbers
@@ -157,20 +143,22 @@ def light_numbers(scene: Any) -> NDArray[np.uint32]:
 class Lights:
     """The lights of a Mitsuba scene inside a kernel, chosen by a `LightChoice`, given as its arrays."""
 
-    def __init__(self, scene: Any, arrays: tuple[Any, ...], thin_glass: bool = False):
+    def __init__(self, scene: AnyScene, arrays: tuple[Any, ...], thin_glass: bool = False):
         self._scene, self._thin_glass = scene, thin_glass
         self._grid, self._table, self._rows, self._numbers, self._chances, self._running = arrays
         self._count = len(scene.emitters())
         self._emitters = scene.emitters_dr()
 
-    def row(self, position: Any, side: Any, active: Any) -> Any:
+    def row(self, position: mi.Point3f, side: mi.Normal3f, active: mi.Bool) -> mi.UInt32:
         """Row of chances at N surface points with normals of the lit side."""
         origin, scale = self._grid
         names = cell_names_jit((position - origin) / scale, side, _LEVEL)
         known, cell = find(self._table, *names, active)
         return dr.select(known, cell, self._rows)
 
-    def sample(self, hit: Any, row: Any, point: Any, active: Any) -> tuple[Any, Any]:
+    def sample(
+        self, hit: mi.SurfaceInteraction3f, row: mi.UInt32, point: mi.Point2f, active: mi.Bool
+    ) -> tuple[Any, Any]:
         """As Mitsuba's `Scene.sample_emitter_direction`, without shadows: direction sample and radiance."""
         start = row * self._count
         above = lambda index: dr.gather(mi.Float, self._running, start + index, active) < point.x  # noqa: E731
@@ -184,14 +172,18 @@ class Lights:
         light.pdf = dr.select(lit, light.pdf * chance, 0)
         return light, dr.select(lit, emitted / chance, 0)
 
-    def arriving(self, hit: Any, light: Any, emitted: Any, active: Any) -> Any:
+    def arriving(
+        self, hit: mi.SurfaceInteraction3f, light: mi.DirectionSample3f, emitted: mi.Color3f, active: mi.Bool
+    ) -> mi.Color3f:
         """What arrives of that which sampled places on lights emit, by shadow rays; 0 where it is hidden."""
         if self._thin_glass:
             return emitted * transmittance(self._scene, hit, light.p, active)
         seen = active & ~self._scene.ray_test(hit.spawn_ray_to(light.p), active)
         return dr.select(seen, emitted, 0)
 
-    def pdf(self, before: Any, row: Any, found: Any, active: Any) -> Any:
+    def pdf(
+        self, before: mi.SurfaceInteraction3f, row: mi.UInt32, found: mi.DirectionSample3f, active: mi.Bool
+    ) -> mi.Float:
         """As Mitsuba's `Scene.pdf_emitter_direction`."""
         number = dr.gather(mi.UInt32, self._numbers, dr.reinterpret_array(mi.UInt32, found.emitter), active)
         chance = dr.gather(mi.Float, self._chances, row * self._count + number, active)

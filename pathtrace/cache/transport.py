@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from pathtrace.cache.cells import Points
+from pathtrace.cache.cells import Floats, Indices, Mask, Points
 
 # Numbers of segments whose light is told apart; more count as any number.
 _MOST_STEPS = 8
@@ -27,16 +27,13 @@ _UNBOUNDED = 32
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """P patches of C cells: (levels, P) indices of the cells in which each lies, one of each level, or -1.
-
-    The indices ascend with the level.
-    """
+    """P patches of C cells: (levels, P) indices of the cells in which each lies, ascending, or -1."""
 
     cells: NDArray[np.int32]
     count: int
 
     @staticmethod
-    def of(cells: NDArray[np.int64], count: int) -> tuple[Patches, NDArray[np.int32]]:
+    def of(cells: Indices, count: int) -> tuple[Patches, NDArray[np.int32]]:
         """The patches of points in cells (levels, N), -1 for none, and the (N,) index of each one's patch."""
         # Single numbers are sorted several times faster than columns.
         sizes = (count + 1,) * len(cells)
@@ -48,7 +45,7 @@ class Patches:
         return self.cells.shape[1]
 
     @cached_property
-    def regions(self) -> NDArray[np.int64]:
+    def regions(self) -> Indices:
         """(P,) number from 0 on that is the same for the patches of one largest cell."""
         _, region = np.unique(self.cells.max(axis=0, initial=-1), return_inverse=True)
         return region.astype(np.int64)
@@ -73,43 +70,30 @@ def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np
 
 @dataclass(frozen=True)
 class Links:
-    """M rays from points: (M,) indices of the points, and of the cells that they hit, -1 outside the scene.
+    """M rays from points, with the weight that each has in a mean."""
 
-    `bounces` (M,) counts mirrors and glass on the way. `reflectance` (M, 3) is the share of the irradiance of
-    what was hit that arrives; 0 where a ray left the scene.
-    """
-
-    point: NDArray[np.int64]
-    cell: NDArray[np.int64]
-    bounces: NDArray[np.int64]
-    reflectance: NDArray[np.float32]
+    point: Indices  # (M,) index of the point
+    cell: Indices  # (M,) index of the cell that it hit, -1 outside the scene
+    bounces: Indices  # (M,) mirrors and glass on the way
+    # (M, 3) share of the irradiance of what was hit that arrives; 0 where a ray left the scene.
+    reflectance: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Transport:
-    """What C cells receive from each other, by way of P patches.
+    """What C cells receive from each other, by way of P patches."""
 
-    Attributes:
-        patches: of the cells.
-        rays: (P,) number of rays from each patch.
-        starts: (B * P + 1,) where the links of each patch start; those of rays that met no mirror, glossy or
-            glass surface on the way, then those of rays that met one, and so on.
-        cells: (L,) cell that each link leads to.
-        reflectance: (3, L) sum over the rays of each link, one row per colour channel.
-    """
-
-    patches: Patches
-    rays: NDArray[np.int32]
+    patches: Patches  # of the cells
+    rays: NDArray[np.int32]  # (P,) number of rays from each patch
+    # (B * P + 1,) where the links of each patch start; those of rays that met no mirror, glossy or glass
+    # surface on the way, then those of rays that met one, and so on.
     starts: NDArray[np.int32]
-    cells: NDArray[np.int32]
-    reflectance: NDArray[np.float32]
+    cells: NDArray[np.int32]  # (L,) cell that each link leads to
+    reflectance: Floats  # (3, L) sum over the rays of each link, one row per colour channel
 
     @staticmethod
     def of(links: Links, patches: Patches, patch: NDArray[np.int32]) -> Transport:
-        """The transport of links from N points, with their patches, and the patch (N,) of each.
-
-        Links are rays whose hits are known, and rays that left the scene.
-        """
+        """The transport of links from N points, known or out of the scene, with the patch (N,) of each."""
         start = patch[links.point]
         rays = np.bincount(start, minlength=len(patches)).astype(np.int32)
         hit = links.cell >= 0
@@ -135,61 +119,52 @@ class Transport:
         for first in range(0, len(self.starts) - 1, max(len(self.patches), 1)):
             rows = self.starts[first : first + len(self.patches) + 1]
             part = slice(rows[0], rows[-1])
-            places = self.cells[part], rows - rows[0]
-            matrices.append(
-                tuple(sparse.csr_array((channel[part], *places), shape) for channel in self.reflectance)
-            )
+            cells, ends = self.cells[part], rows - rows[0]
+            channels = (sparse.csr_array((row[part], cells, ends), shape) for row in self.reflectance)
+            matrices.append(tuple(channels))
         return tuple(matrices)
 
     @cached_property
     def _averaging(self) -> sparse.csr_array:
         return self.patches.averaging(self.rays)
 
-    def received(self, known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """(C, 3) irradiance that comes by way of other cells.
-
-        What is known is their own (C, 3), of at most 1, 2, ... segments.
-        """
+    def received(self, known: Sequence[Floats]) -> Floats:
+        """(C, 3) irradiance by way of other cells, whose own is known, of at most 1, 2, ... segments."""
         sums = np.zeros((len(self.patches), 3), dtype=np.float32)
         for channels, light in zip(self._matrices, reversed(known), strict=False):
             for channel, matrix in enumerate(channels):
                 sums[:, channel] += matrix @ np.ascontiguousarray(light[:, channel])
-        received: NDArray[np.float32] = self._averaging @ sums
+        received: Floats = self._averaging @ sums
         return received
 
-    def every(self, sent: NDArray[np.float32], most: int) -> list[NDArray[np.float32]]:
+    def every(self, sent: Floats, most: int) -> list[Floats]:
         """Irradiance (C, 3) of at most 1, 2, ... segments from a light; `sent` and `most` as below."""
         known = [sent[0]]
         for segments in range(1, most if most > 0 else _UNBOUNDED):
             known.append(sent[min(segments, len(sent) - 1)] + self.received(known))
         return known
 
-    def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
+    def irradiance(self, sent: Floats, most: int) -> Floats:
         """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
-        What is sent (S, C, 3) is irradiance that comes from lights without other cells between; [n] is that
-        of at most n + 1 segments, the last that of all. There are `most` segments at most, 1 or more; below 0
-        for no bound.
+        What is sent (S, C, 3) comes from lights without other cells between; [n] is that of at most n + 1
+        segments, the last that of all. There are `most` segments at most, 1 or more; below 0 for no bound.
         """
         return told_apart(self.every(sent, most))
 
 
-def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def told_apart(known: Sequence[Floats]) -> Floats:
     """(K, C, 3) as in `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
     return np.stack([*known[: _MOST_STEPS - 1], known[-1]] if len(known) > _MOST_STEPS else known)
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass.
+    """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass."""
 
-    Points are indices (M,); directions lie at squares (M, 2) in 0..1, cosine-weighted around the normal. The
-    weight (M,) of what a ray finds is the irradiance that arrives in this way for each unit of radiance.
-    """
-
-    point: NDArray[np.int32]
-    square: NDArray[np.float32]
-    weight: NDArray[np.float32]
+    point: NDArray[np.int32]  # (M,) index of the point
+    square: Floats  # (M, 2) direction in 0..1, cosine-weighted around the normal
+    weight: Floats  # (M,) irradiance that arrives in this way for each unit of radiance
 
     def __len__(self) -> int:
         return len(self.point)
@@ -197,28 +172,19 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Points in P patches and R regions, their direct light, and the transport of light from there.
+    """Points in P patches and R regions, their direct light, and the transport of light from there."""
 
-    Attributes:
-        points: N, in random order.
-        patch: (N,) int32 patch of each.
-        rays: from these points, in random order.
-        direct: (P, 3) sums over each patch's points of the irradiance from lights.
-        reflected: (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy
-            surfaces and glass.
-        passed: (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
-        transport: of light between all C cells.
-        known: (C,) mask of the cells that the cache answers from.
-    """
-
-    points: Points
-    patch: NDArray[np.int32]
-    rays: Rays
-    direct: NDArray[np.float32]
-    reflected: NDArray[np.float32]
-    passed: NDArray[np.float32]
-    transport: Transport
-    known: NDArray[np.bool_]
+    points: Points  # N, in random order
+    patch: NDArray[np.int32]  # (N,) int32 patch of each
+    rays: Rays  # from these points, in random order
+    direct: Floats  # (P, 3) sums over each patch's points of the irradiance from lights
+    # (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy surfaces
+    # and glass.
+    reflected: Floats
+    # (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
+    passed: Floats
+    transport: Transport  # of light between all C cells
+    known: Mask  # (C,) mask of the cells that the cache answers from
 
     @staticmethod
     def none() -> Transfer:
@@ -270,39 +236,32 @@ class Transfer:
             raise ValueError("the parts of a transfer do not match")
 
     @cached_property
-    def numbers(self) -> NDArray[np.int64]:
+    def numbers(self) -> Indices:
         """(P,) number of points in each patch."""
         return np.bincount(self.patch, minlength=len(self.transport.patches))
 
     @cached_property
-    def ray_regions(self) -> NDArray[np.int64]:
+    def ray_regions(self) -> Indices:
         """(M,) region that each ray starts in."""
         return self.transport.patches.regions[self.patch[self.rays.point]]
 
     @cached_property
-    def _shares(self) -> NDArray[np.float64]:
-        """(P, 1) share of the points of its region that each patch has."""
-        regions = self.transport.patches.regions
-        of_regions = np.maximum(np.bincount(regions, self.numbers), 1)
-        return np.asarray(self.numbers / of_regions[regions])[:, None]
-
-    @cached_property
-    def _averaging(self) -> Any:
+    def _averaging(self) -> sparse.csr_array:
         return self.transport.patches.averaging(self.numbers)
 
-    def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> NDArray[np.float32]:
+    def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> Floats:
         """(B + 1, C, 3) irradiance of cells from lights, from sums like `direct` and `reflected`.
 
-        The first is that of direct light, the next ones that of at most 1, 2, ... surfaces on the way.
-
-        Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
-        enough samples of them, so that each patch gets the mean of its region.
+        The first is direct, the next ones met at most 1, 2, ... surfaces on the way. Lights in mirrors and
+        behind glass are found rarely, and are very bright then, so that each patch gets the mean of its
+        region.
         """
         regions = self.transport.patches.regions
-        shown = self._shares * reflected[regions]
+        shares = self.numbers / np.maximum(np.bincount(regions, self.numbers), 1)[regions]
+        shown = shares[:, None] * reflected[regions]
         rows = [direct, *(direct + passed[regions, None] * shown for passed in self.passed)]
         return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
 
-    def irradiance(self, most: int) -> NDArray[np.float32]:
+    def irradiance(self, most: int) -> Floats:
         """(K, C, 3) irradiance of cells, as in `IrradianceCache`; `most` as in `Transport.irradiance`."""
         return self.transport.irradiance(self.of_cells(self.direct, self.reflected), most)

@@ -34,7 +34,7 @@ from pathtrace.dataset.captured_frames import (
 from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, FrameSet, read_frame_set
 from pathtrace.region.neighbourhood import ViewSet, choose_views, monocular_views
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from pathtrace.trace.tracer import Tracer
 
 # Keeps the seeds of different captures apart: far more than one capture has frames.
@@ -46,12 +46,15 @@ _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 def describe_capture(
     scene: Scene, views: ViewSet, settings: CaptureSettings, integrator: Integrator
 ) -> dict[str, Any]:
-    """The content of transforms.json; UserError if more views are held out than may be.
+    """The content of transforms.json, for an integrator of all but held-out frames, which are unbiased.
 
-    The integrator is that of training frames and estimates; held-out frames are always unbiased.
+    UserError if more views are held out than may be.
     """
-    cameras = views.fixed + views.spread
-    held_out = _held_out(views, settings.held_out)
+    cameras, count, most = views.fixed + views.spread, settings.held_out, len(views.spread)
+    if count > most:
+        raise UserError(f"held-out {count}: must be at most {most}, the views that may be held out")
+    step = most / max(1, count)
+    held_out = {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
     # Every third held-out view is kept from fitting the fusion, too.
     fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
     spp = settings.held_out_spp
@@ -78,10 +81,12 @@ def describe_capture(
         part, path = _part_of(cameras[index], factor, rng), f"frames/{index:04d}-closer{factor}"
         entry = _entry(part, path, spp, estimates, True, views.times[index])
         # With its own intrinsics.
-        close_ups.append({**entry, **_intrinsics(part)})
+        close_ups.append({**entry, **camera_to_json(part)})
+    intrinsics = camera_to_json(cameras[0])
+    del intrinsics["transform_matrix"]
     return {
         "camera_model": "OPENCV",
-        **_intrinsics(cameras[0]),
+        **intrinsics,
         **described_set(scene, described, integrator.value),
         "frames": frames,
         # Not among the frames, all of which other programs would train on.
@@ -90,10 +95,7 @@ def describe_capture(
 
 
 def described_set(scene: Scene, settings: dict[str, Any], integrator: str) -> dict[str, Any]:
-    """What transforms.json says of all frames: of the scene, with what moves rigidly, and how it is traced.
-
-    The scene has coordinates if they are not the world's, and what is planned for it, if anything is.
-    """
+    """What transforms.json says of all frames: of their scene, what moves in it, and how it is traced."""
     place = {} if scene.place == WORLD else asdict(scene.place)
     plan = {"plan": dict(scene.plan)} if scene.plan else {}
     motion = {} if scene.moving is None else {"courses": [c.as_json() for c in scene.moving.courses()]}
@@ -126,16 +128,6 @@ def write_description(folder: Path, document: dict[str, Any]) -> None:
         raise UserError(f"{folder}: holds another capture; choose another folder or the same settings")
 
 
-def _held_out(views: ViewSet, count: int) -> set[int]:
-    """Indices of the held-out views among all views, evenly spaced over the spread ones."""
-    if count > len(views.spread):
-        raise UserError(
-            f"held-out {count}: must be at most {len(views.spread)}, the views that may be held out"
-        )
-    step = len(views.spread) / max(1, count)
-    return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
-
-
 def _entry(
     camera: Camera, path: str, spp: int, estimate_spp: list[int], held_out: bool, time: float
 ) -> dict[str, Any]:
@@ -159,10 +151,6 @@ def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:
     return large.cropped(left, top, width, height)
 
 
-def _intrinsics(camera: Camera) -> dict[str, Any]:
-    return {name: value for name, value in camera_to_json(camera).items() if name != "transform_matrix"}
-
-
 def capture(
     scene: Scene,
     folder: Path,
@@ -170,30 +158,22 @@ def capture(
     progress: Callable[[int, int], None],
     cache: IrradianceCache | None = None,
 ) -> FrameSet:
-    """Captures a frame set of a scene to train on; resumes if it was interrupted.
+    """Captures a frame set of a scene to train on, into a folder; resumes if it was interrupted.
 
     Views lie in free space around the scene's own camera, which is the first of them. The held-out ones are
-    spaced evenly over the others. Two of three held-out views also have estimates, traced with fewer samples,
+    spaced evenly over the others, and unbiased. Two of three also have estimates, traced with fewer samples,
     two independent halves of their own samples, and close-ups at two and four times the resolution: what the
-    fusion is fitted to. Held-out frames are unbiased; close-ups, which measure nothing else, need not be. Of
-    a scene that moves, views have times of their own, which the scene shows one after another; a monocular
-    capture is that of one camera, which sways around the scene's own.
+    fusion is fitted to. Of a scene that moves, views have times of their own; a monocular capture is that of
+    one camera, which sways around the scene's own.
 
-    The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
-    OpenEXR file per frame, estimate and close-up. Files are written atomically, and those that exist and are
-    intact are not rendered again; a resumed capture ends with exactly the same files as one that was not
-    interrupted.
+    The folder gets a `transforms.json` and one OpenEXR file per frame, estimate and close-up. Intact files
+    are not rendered again; a resumed capture ends with the same files as one that was not interrupted.
 
     Args:
-        scene: the scene, loaded for the selected Mitsuba variant.
-        folder: of the frame set; created if it does not exist.
-        settings: number, size and sample counts of the frames, and the seed.
+        scene, folder, settings: what is captured, where to, and how.
         progress: called after each frame with the number of samples done and their total.
-        cache: irradiance of the scene in which the paths of training frames, estimates and close-ups end;
-            without it, these are unbiased as well.
-
-    Returns:
-        The complete frame set.
+        cache: in which the paths of training frames, estimates and close-ups end; without it, these are
+            unbiased as well.
 
     Raises:
         UserError: the folder holds another capture or cannot be written; the scene's own camera sees no
@@ -228,23 +208,17 @@ def capture(
         seed = settings.seed * _CAPTURE_SEED_STEP + index
         measures = entry["held_out"] and index < len(document["frames"])
         scene.show(entry["time"])
-        _write_estimates(quick, folder, entry, camera, seed)
+        files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
+        lacking = {spp: file for spp, file in files.items() if not is_intact(read_estimate, file, camera)}
+        estimates = render_estimates(quick, camera, tuple(files), seed, lacking)
+        for file, estimate in zip(lacking.values(), estimates, strict=True):
+            write_frame(file, estimate)
         _write_frame(unbiased if measures else quick, folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
 
 
-def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
-    """Renders and writes those estimates of one view that are not there, or damaged."""
-    files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-    lacking = {spp: file for spp, file in files.items() if not is_intact(read_estimate, file, camera)}
-    estimates = render_estimates(tracer, camera, tuple(files), seed, lacking)
-    for file, estimate in zip(lacking.values(), estimates, strict=True):
-        write_frame(file, estimate)
-
-
 def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
-    """Renders one view and writes what of it and its halves is not there, or damaged."""
     file, halves = folder / entry["file_path"], [folder / name for name in entry["halves"]]
     lacking = [half for half in halves if not is_intact(read_radiance, half, camera)]
     has_frame = is_intact(read_frame, file, camera)

@@ -25,24 +25,16 @@ _HALVES = 2
 
 @dataclass(frozen=True)
 class CapturedFrame:
-    """A captured view.
+    """A captured view."""
 
-    Attributes:
-        radiance: (H, W, 3) linear, denoised.
-        albedo: (H, W, 3).
-        normal: (H, W, 3) shading normal in world space.
-        depth: (H, W) along the view axis to the first surface; inf where nothing is hit.
-        unfolded: (H, W) distance along the ray, continued through flat mirrors and panes; inf
-            where nothing is hit, and for the sky in a flat mirror or behind a pane.
-        shape: (H, W) int32 shape index; -1 where nothing is hit.
-    """
-
-    radiance: Image
-    albedo: Image
-    normal: Image
-    depth: Image
+    radiance: Image  # (H, W, 3) linear, denoised
+    albedo: Image  # (H, W, 3)
+    normal: Image  # (H, W, 3) shading normal in world space
+    depth: Image  # (H, W) along the view axis to the first surface; inf where nothing is hit
+    # (H, W) distance along the ray, continued through flat mirrors and panes; inf where nothing is hit,
+    # and for the sky in a flat mirror or behind a pane.
     unfolded: Image
-    shape: NDArray[np.int32]
+    shape: NDArray[np.int32]  # (H, W) int32 shape index; -1 where nothing is hit
 
 
 # What the files of a view hold: of each part, the prefix, names and type of its channels.
@@ -73,10 +65,7 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
 
 
 def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame:
-    """Reads a frame that `write_frame` wrote, which must have a `size`: width and height in pixels.
-
-    UserError if the file is missing, damaged, of another size, or lacks a channel.
-    """
+    """Reads a frame that `write_frame` wrote; UserError if it is damaged, or not `size` (width, height)."""
     return CapturedFrame(**_read(path, size, [field.name for field in fields(CapturedFrame)]))
 
 
@@ -96,9 +85,12 @@ def is_intact(read: Callable[[Path, tuple[int, int]], Any], file: Path, camera: 
         found = read(file, (camera.width, camera.height))
     except UserError:
         return False
-    parts = {"radiance": found} if isinstance(found, np.ndarray) else {**vars(found)}
-    distances = [parts.pop(name) for name in ("depth", "unfolded") if name in parts]
-    return all(np.isfinite(part).all() for part in parts.values()) and not np.isnan(distances).any()
+    parts = {"radiance": found} if isinstance(found, np.ndarray) else vars(found)
+    # Where nothing is hit, distances are infinite.
+    return all(
+        np.isfinite(part).all() or (name in ("depth", "unfolded") and not np.isnan(part).any())
+        for name, part in parts.items()
+    )
 
 
 def _read(path: Path, size: tuple[int, int] | None, parts: list[str]) -> dict[str, Any]:
@@ -125,10 +117,9 @@ def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Capture
 def render_with_halves(
     tracer: Tracer, camera: Camera, spp: int, seed: int
 ) -> tuple[CapturedFrame, tuple[Image, Image]]:
-    """A denoised frame, and the (H, W, 3) linear radiance of two independent halves of its samples.
+    """As `render_frame`, of at least 2 samples, and the radiance (H, W, 3) of two independent halves of them.
 
-    The halves tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018). There are
-    `spp` samples per pixel, at least 2; same seed, same frame and halves.
+    They tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018).
     """
     one = trace_frame(tracer, camera, spp - spp // 2, seed)
     other = trace_frame(tracer, camera, spp // 2, seed + _PART_SEED_STEP)
@@ -139,10 +130,7 @@ def render_with_halves(
 def render_estimates(
     tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int, wanted: Container[int] | None = None
 ) -> list[TracedImage]:
-    """Noisy estimates of a view, independent of its frame's samples; `counts` are samples per pixel.
-
-    Only those of the counts that are wanted are traced; same seed and counts, same estimates.
-    """
+    """Noisy estimates of a view, independent of its frame, of those counts of samples that are wanted."""
     return [
         trace_frame(tracer, camera, count, seed + number * _PART_SEED_STEP)
         for number, count in enumerate(counts, start=_HALVES)

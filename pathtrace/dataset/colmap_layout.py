@@ -52,7 +52,7 @@ def model_of(folder: Path) -> Path | None:
 def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
     """The images of a data set in the order of their names, and points (M, 3) that they show.
 
-    UserError if images are missing, a file is damaged, a camera is not a perspective one, or makes no view.
+    UserError if images are missing, a file is damaged, or a camera is not a perspective one.
     """
     found = read_model(model)
     root = folder / _IMAGES if (folder / _IMAGES).is_dir() else folder
@@ -64,7 +64,12 @@ def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
     if missing := [str(file.relative_to(root)) for file in files if not file.is_file()]:
         named = ", ".join(missing[:_MOST_NAMED]) + (", ..." if len(missing) > _MOST_NAMED else "")
         raise UserError(f"{root}: {len(missing):,} of {len(files):,} images are missing: {one_line(named)}")
-    held_out = _held_out(model / _HELD_OUT, [image.name for image in shots])
+    names, path = [image.name for image in shots], model / _HELD_OUT
+    held_out = set(names[::HELD_OUT_EVERY] if len(names) > HELD_OUT_EVERY else [])
+    if path.is_file():
+        with reading(path):
+            require_size_below(path, _MOST_NAMES)
+            held_out = {line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()}
     images = []
     for image, file in zip(shots, files, strict=True):
         if image.camera not in found.cameras:
@@ -75,15 +80,6 @@ def read_colmap(folder: Path, model: Path) -> tuple[list[PosedImage], Array]:
             raise UserError(f"{model}: {one_line(image.name)}: {one_line(error)}") from error
         images.append(PosedImage(camera, lens, file, None, 0.0, image.name in held_out))
     return images, found.points
-
-
-def _held_out(path: Path, names: list[str]) -> set[str]:
-    """The names of held-out images."""
-    if path.is_file():
-        with reading(path):
-            require_size_below(path, _MOST_NAMES)
-            return {line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()}
-    return set(names[::HELD_OUT_EVERY] if len(names) > HELD_OUT_EVERY else [])
 
 
 def _view(camera: ModelCamera, pose: Array, size: tuple[int, int]) -> tuple[Camera, Lens | None]:
@@ -119,7 +115,10 @@ def write_colmap(found: FrameSet, folder: Path) -> tuple[int, int]:
     """
     if len({entry.time for entry in found.entries}) > 1:
         raise UserError(f"{found.folder}: its frames show several times, which COLMAP's format does not have")
-    stride = _stride(found.entries)
+    # The step of a grid of pixels, of which all frames together have at most as many as there may be.
+    stride, sizes = 1, [entry.size for entry in found.entries]
+    while sum(-(-width // stride) * -(-height // stride) for width, height in sizes) > _MOST_POINTS:
+        stride += 1
     names = [f"{number:0{len(str(len(found.entries))) + 3}d}.png" for number in range(len(found.entries))]
     cameras: dict[ModelCamera, int] = {}
     images, seen = [], []
@@ -137,14 +136,6 @@ def write_colmap(found: FrameSet, folder: Path) -> tuple[int, int]:
             model, ColmapModel({number: camera for camera, number in cameras.items()}, images), points
         )
     return len(images), len(points.positions)
-
-
-def _stride(entries: list[FrameEntry]) -> int:
-    """The step of a grid of pixels, of which all frames together have at most as many as there may be."""
-    stride = 1
-    while sum(-(-e.camera.width // stride) * -(-e.camera.height // stride) for e in entries) > _MOST_POINTS:
-        stride += 1
-    return stride
 
 
 def _write_image(path: Path, entry: FrameEntry, number: int, stride: int) -> ModelPoints:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,7 @@ _NAMES = [
     ("EQUIRECTANGULAR", "w h"),
 ]
 # Parameters of each model by its name; in binary files, models have their place in this list.
+_Content = TypeVar("_Content")
 MODELS = {name: tuple(parameters.split()) for name, parameters in _NAMES}
 
 
@@ -72,19 +73,12 @@ class ModelImage:
 
 @dataclass(frozen=True)
 class ModelPoints:
-    """M points, each of which is known from one image.
+    """M points, each of which is known from one image."""
 
-    Attributes:
-        positions: (M, 3) in the world.
-        colours: (M, 3) uint8, sRGB.
-        images: (M,) index of the image, ascending.
-        pixels: (M, 2) where it is seen there.
-    """
-
-    positions: Array
-    colours: NDArray[np.uint8]
-    images: NDArray[np.int64]
-    pixels: Array
+    positions: Array  # (M, 3) in the world
+    colours: NDArray[np.uint8]  # (M, 3) uint8, sRGB
+    images: NDArray[np.int64]  # (M,) index of the image, ascending
+    pixels: Array  # (M, 2) where it is seen there
 
 
 @dataclass(frozen=True)
@@ -112,16 +106,16 @@ def read_model(folder: Path) -> ColmapModel:
     kind = _kind(folder)
     if kind is None:
         raise UserError(f"{folder}: has no cameras and images of a COLMAP model (.bin or .txt)")
-    readers = (_cameras, _images, _points) if kind == _BINARY else (_text_cameras, _text_images, _text_points)
-    names = [folder / f"{name}{kind}" for name in (_CAMERAS, _IMAGES, _POINTS)]
-    cameras, images = (_read(path, reader) for path, reader in zip(names[:2], readers[:2], strict=True))
-    if not names[2].is_file():
+    is_binary = kind == _BINARY
+    cameras = _read(folder / f"{_CAMERAS}{kind}", _cameras if is_binary else _text_cameras)
+    images = _read(folder / f"{_IMAGES}{kind}", _images if is_binary else _text_images)
+    points = folder / f"{_POINTS}{kind}"
+    if not points.is_file():
         return ColmapModel(cameras, images)
-    return ColmapModel(cameras, images, _read(names[2], readers[2]))
+    return ColmapModel(cameras, images, _read(points, _points if is_binary else _text_points))
 
 
-def _read(path: Path, reader: Callable[[bytes], Any]) -> Any:
-    """What a reader makes of a file."""
+def _read(path: Path, reader: Callable[[bytes], _Content]) -> _Content:
     try:
         require_size_below(path, _MOST_BYTES)
         return reader(path.read_bytes())
@@ -199,7 +193,6 @@ def _rows(points: list[tuple[float, ...]]) -> Array:
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """The lines of a text, without comments."""
     return (line for line in content.decode("utf-8-sig").splitlines() if not line.lstrip().startswith("#"))
 
 
@@ -237,10 +230,7 @@ def _world_to_camera(pose: list[float]) -> Array:
 
 
 def write_model(folder: Path, model: ColmapModel, points: ModelPoints) -> None:
-    """Writes a binary model of cameras and images, with points in place of those of the model.
-
-    Images and points are numbered from 1, in their order. UserError if a file cannot be written.
-    """
+    """Writes a binary model of cameras and images, with points in place of its own; numbers start at 1."""
     count = len(points.positions)
     ids = np.arange(1, count + 1)
     cameras = [

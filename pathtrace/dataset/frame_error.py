@@ -43,44 +43,34 @@ _BLOCK = 16
 
 @dataclass(frozen=True)
 class FrameError:
-    """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1.
+    """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1."""
 
-    The variance is that of each denoised half, the change that of the denoised frame from half its samples to
-    all of them. The product of the halves' residuals is their squared bias, without bias, and may be
-    negative; its standard deviation is inf if it is not known.
-    """
-
-    variance: float
-    change: float
-    product: float
-    deviation: float
+    variance: float  # of each denoised half
+    change: float  # of the denoised frame from half its samples to all
+    product: float  # of the halves' residuals: their squared bias; may be negative
+    deviation: float  # standard deviation of the product; inf if not known
 
     @property
     def mse(self) -> float:
         """Mean squared error of the frame denoised from all samples."""
-        return _JOINT_SHARE * (self.variance / 2 + self._bias())
+        told = _BIAS_PER_CHANGE * self.change
+        prior = _PRIOR_DEVIATION * told
+        # Weight, 0 to 1, of the product against what the change tells of the bias.
+        trust = float(prior**2 / (prior**2 + self.deviation**2)) if prior > 0 else 0.0
+        bias = max(trust * self.product + (1 - trust) * told, _LEAST_SHARE * told)
+        return _JOINT_SHARE * (self.variance / 2 + bias)
 
     @property
     def psnr_db(self) -> float:
         """Peak signal-to-noise ratio in dB of the frame denoised from all samples; at most 120."""
         return decibels(self.mse)
 
-    def _bias(self) -> float:
-        """Squared bias of the denoised halves."""
-        told = _BIAS_PER_CHANGE * self.change
-        prior = _PRIOR_DEVIATION * told
-        # Weight, 0 to 1, of the product against what the change tells.
-        trust = float(prior**2 / (prior**2 + self.deviation**2)) if prior > 0 else 0.0
-        found = trust * self.product + (1 - trust) * told
-        return max(found, _LEAST_SHARE * told)
-
 
 def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = None) -> FrameError:
     """Error of a frame that is denoised from two halves of its samples; ValueError if they differ in size.
 
-    A frame traced at once has a little less: its samples are spread more evenly than those of two halves. The
-    halves are of the same view and as many samples, from different seeds. If it is there already, `denoised`
-    is the (H, W, 3) `one.mixed(other, 0.5).denoised()`.
+    A frame traced at once has a little less. The halves are of as many samples, from different seeds;
+    `denoised` is `one.mixed(other, 0.5).denoised()`, if it is there already.
     """
     if one.radiance.shape != other.radiance.shape:
         raise ValueError(f"halves of {one.radiance.shape} and {other.radiance.shape}; must be of one size")
@@ -98,10 +88,7 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
 
 
 def mean_frame_error(errors: Sequence[FrameError]) -> FrameError:
-    """The mean error of several frames, more certain than that of any of them; ValueError without a frame.
-
-    Its PSNR is that of the mean squared error, not the mean of the PSNRs.
-    """
+    """The mean error of several frames, whose PSNR is that of the mean square; ValueError without any."""
     if not errors:
         raise ValueError("no frames to have an error")
     columns = list(zip(*map(astuple, errors), strict=True))

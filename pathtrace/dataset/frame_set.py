@@ -29,25 +29,16 @@ FORMAT_VERSION = 3
 
 @dataclass(frozen=True)
 class FrameEntry:
-    """A frame of a frame set.
+    """A frame of a frame set."""
 
-    Attributes:
-        camera: the view.
-        file: its EXR file, a captured frame.
-        samples: samples per pixel.
-        held_out: whether training must not see it.
-        estimates: files of noisy estimates of the same view by their samples per pixel; may be empty.
-        halves: files of the radiance of two independent halves of the samples, if there are estimates.
-        time: that it shows, from 0 to 1.
-    """
-
-    camera: Camera
-    file: Path
-    samples: int
-    held_out: bool
-    estimates: dict[int, Path]
+    camera: Camera  # the view
+    file: Path  # its EXR file, a captured frame
+    samples: int  # samples per pixel
+    held_out: bool  # whether training must not see it
+    estimates: dict[int, Path]  # files of noisy estimates of the view by their samples per pixel
+    # Files of the radiance of two independent halves of the samples, if there are estimates.
     halves: tuple[Path, ...] = ()
-    time: float = 0.0
+    time: float = 0.0  # that it shows, from 0 to 1
 
     @property
     def size(self) -> tuple[int, int]:
@@ -67,7 +58,7 @@ class FrameSet:
         close_ups: parts of held-out views at a multiple of their resolution.
         integrator: name of the one that training frames and estimates were traced with.
         courses: of the shapes that move rigidly.
-        plan: what was planned for the scene, by name; empty if nothing was.
+        plan: what was planned for the scene, by name.
     """
 
     folder: Path
@@ -94,7 +85,7 @@ class FrameSet:
 def read_frame_set(folder: Path) -> FrameSet:
     """Reads a frame set's transforms.json and checks that every file it names exists.
 
-    UserError if the folder is not a frame set, has another format version, or its capture is not complete.
+    UserError if the folder is no frame set, has another format version, or its capture is not complete.
     """
     path = folder / "transforms.json"
     if not path.is_file():
@@ -160,7 +151,7 @@ def _samples(entry: dict[str, Any]) -> int:
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """Settings of a capture.
+    """Settings of a capture; UserError for a seed, ValueError for a number that is out of range.
 
     Attributes:
         views: number of training views.
@@ -169,13 +160,9 @@ class CaptureSettings:
         spp: samples per pixel of a training view, which is denoised afterwards.
         held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
         close_ups: multiples of the resolution at which parts of held-out views are rendered, too.
+        seed: same seed, same frames; from 0 to compose.base.errors.MOST_SEED.
         monocular: whether views are those of one camera that sways around the scene's own, one instant after
             the other; otherwise they are free, and each shows a time of its own.
-        seed: same seed, same frames; from 0 to compose.base.errors.MOST_SEED.
-
-    Raises:
-        UserError: the seed is out of range.
-        ValueError: a count or a size is not positive, or held-out views have a single sample per pixel.
     """
 
     views: int = 64

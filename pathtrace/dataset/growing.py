@@ -44,14 +44,10 @@ class Wanted:
 
 
 class GrowingFrames:
-    """A frame set in a folder, which is complete after every call of `grow`.
+    """A frame set in a folder, which is complete after every call of `grow`; same calls, same frames.
 
-    Every frame is the mean of two independent halves of its samples, denoised together; both are kept, for
-    they tell how wrong the frame is (pathtrace.dataset.frame_error), and further samples are added to them.
-    The folder, created with the first frame, is read by `pathtrace.dataset.frame_set.read_frame_set`, as that
-    of any capture. Same seed and same calls, same frames.
-
-    UserError if the folder holds other frames, or a damaged description.
+    Every frame is the mean of two independent halves of its samples, denoised together; both are kept, and
+    further samples are added to them. UserError if the folder holds other frames, or a damaged description.
     """
 
     def __init__(self, folder: Path, tracer: Tracer, integrator: str, seed: int):
@@ -80,12 +76,12 @@ class GrowingFrames:
     def halves(self, view: int) -> tuple[TracedImage, TracedImage]:
         """The two independent halves of a view's samples, each with the features of both."""
         entry = self._entries[view]
-        return self._halves(entry, self._stored_frame(entry))
+        one, other = self._halves(entry, self._stored_frame(entry))
+        return one, other
 
-    def _halves(self, entry: dict[str, Any], frame: CapturedFrame) -> tuple[TracedImage, TracedImage]:
-        size = frame.depth.shape[::-1]
-        one, other = (read_radiance(self.folder / name, size) for name in entry["halves"])
-        return TracedImage(one, frame.albedo, frame.normal), TracedImage(other, frame.albedo, frame.normal)
+    def _halves(self, entry: dict[str, Any], frame: CapturedFrame) -> list[TracedImage]:
+        halves = (read_radiance(self.folder / name, frame.depth.shape[::-1]) for name in entry["halves"])
+        return [TracedImage(half, frame.albedo, frame.normal) for half in halves]
 
     def _stored_frame(self, entry: dict[str, Any]) -> CapturedFrame:
         camera = camera_from_json(entry)
@@ -94,23 +90,33 @@ class GrowingFrames:
     def grow(self, wanted: Sequence[Wanted], progress: Callable[[int, int], None]) -> None:
         """Adds the views that are not there yet, and the samples that views lack.
 
-        All views are wanted: those that are there, in their order, and then new ones. After each view,
-        progress is told the number of samples done and their total. UserError if a file cannot be written, or
-        one that is required is damaged.
+        All views are wanted: those that are there, in their order, and then new ones; else ValueError. After
+        each view, progress is told the samples done and their total. UserError if a file is damaged or not
+        writable.
         """
-        self._require_same(wanted)
-        had = [*self.samples, *[0] * (len(wanted) - len(self._entries))]
-        lacking = [view.spp - have for view, have in zip(wanted, had, strict=True)]
-        sizes = [view.camera.width * view.camera.height for view in wanted]
-        costs = [max(0, spp) * size for spp, size in zip(lacking, sizes, strict=True)]
-        entries, done = [], 0
+        pairs = zip(self._entries, wanted, strict=False)
+        same = (_is_same(camera_from_json(e), v.camera) and e["time"] == v.time for e, v in pairs)
+        new = len(wanted) - len(self._entries)
+        if new < 0 or not all(same):
+            raise ValueError("views of a frame set that grows must stay as they are")
+        had = [*self.samples, *[0] * new]
+        costs = [
+            max(0, view.spp - have) * view.camera.width * view.camera.height
+            for view, have in zip(wanted, had, strict=True)
+        ]
+        entries = self._entries.copy()
         for index, view in enumerate(wanted):
-            before = self._entries[index] if index < len(self._entries) else None
-            entries.append(self._grown(index, view, before) if lacking[index] > 0 else before)
-            done += costs[index]
             if costs[index]:
-                progress(done, sum(costs))
-        self._keep([entry for entry in entries if entry is not None])
+                before = self._entries[index] if had[index] else None
+                entries[index : index + 1] = [self._grown(index, view, before)]
+                progress(sum(costs[: index + 1]), sum(costs))
+        text = json.dumps({**self._facts, "frames": entries, "close_ups": []}, indent=1)
+        write_whole(self._path, lambda part: part.write_text(text, encoding="utf-8"))
+        # Files of earlier passes go.
+        outdated = set(_files(self._entries)) - set(_files(entries))
+        self._entries = entries
+        for name in outdated:
+            (self.folder / name).unlink(missing_ok=True)
 
     def _grown(self, index: int, view: Wanted, before: dict[str, Any] | None) -> dict[str, Any]:
         """Traces and writes what a view lacks; files of this pass that are there already are kept."""
@@ -157,17 +163,7 @@ class GrowingFrames:
         write_frame(self.folder / entry["file_path"], frame)
         return entry
 
-    def _keep(self, entries: list[dict[str, Any]]) -> None:
-        """Writes the description of a complete pass; files of earlier passes go."""
-        text = json.dumps({**self._facts, "frames": entries, "close_ups": []}, indent=1)
-        write_whole(self._path, lambda part: part.write_text(text, encoding="utf-8"))
-        needed, before = set(_files(entries)), set(_files(self._entries))
-        self._entries = entries
-        for name in before - needed:
-            (self.folder / name).unlink(missing_ok=True)
-
     def _stored(self) -> list[dict[str, Any]]:
-        """The frames of complete passes, as they are described."""
         if not self._path.is_file():
             (self.folder / "frames").mkdir(parents=True, exist_ok=True)
             return []
@@ -183,20 +179,9 @@ class GrowingFrames:
             raise UserError(f"{self.folder}: holds other frames; choose another folder")
         return entries
 
-    def _require_same(self, wanted: Sequence[Wanted]) -> None:
-        """ValueError if the views that are there are not the first of those wanted."""
-        known = [self.camera(view) for view in range(len(self._entries))]
-        times = [entry["time"] for entry in self._entries]
-        same = all(map(_is_same, known, [view.camera for view in wanted]))
-        if len(wanted) < len(known) or not same or times != [view.time for view in wanted[: len(times)]]:
-            raise ValueError("views of a frame set that grows must stay as they are")
-
 
 def _is_same(stored: Camera, camera: Camera) -> bool:
-    """Whether a camera is one that was written and read: its pose may be a little less than rigid.
-
-    Such a pose, inverted, is off by as much more as it is farther from the origin.
-    """
+    """Whether a camera was written and read as another, which may leave it a little less than rigid."""
     numbers = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in (stored, camera)]
     tolerance = np.full((4, 4), 2 * RIGID_TOLERANCE)
     tolerance[:3, 3] *= max(1.0, float(np.linalg.norm(camera.world_to_camera[:3, 3])))

@@ -35,15 +35,12 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 
 @dataclass(frozen=True)
 class Lens:
-    """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
+    """How a lens distorts."""
 
-    Skew is in pixels to the right per unit downwards on the image plane. The divisor has k4, k5 and k6 of
-    OpenCV's rational model, by which what k1, k2 and k3 give is divided.
-    """
-
-    radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tangential: tuple[float, float] = (0.0, 0.0)
-    skew: float = 0.0
+    radial: tuple[float, float, float] = (0.0, 0.0, 0.0)  # k1, k2, k3
+    tangential: tuple[float, float] = (0.0, 0.0)  # p1, p2
+    skew: float = 0.0  # pixels to the right per unit downwards on the image plane
+    # k4, k5 and k6 of OpenCV, by which the radial part is divided.
     divisor: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -58,15 +55,20 @@ class Lens:
 
 
 def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Camera, list[Array]]:
-    """Images as a camera without a lens would show them, without the margin that the lens did not show.
+    """Images (H, W) as a camera without a lens shows them, cut to what the lens showed, and that camera.
 
-    Images are (H, W) each, taken with the lens; the camera is the view without distortion, at their size.
-    Returned are the camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
-    ValueError if the distortion is too strong: it folds, or leaves less than half of the frame.
+    They are resampled by cubic splines; `camera` is the view without distortion, at their size. ValueError if
+    the distortion is too strong: it folds, or leaves less than half of the frame.
     """
+    centres, shape = camera.pixel_centres(), (camera.height, camera.width)
     # Lenses of damaged files overflow, and are refused.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        x, y = _sources(camera, lens)
+        x, y = lens.distorted(
+            (centres[:, 0] - camera.cx) / camera.fx, (centres[:, 1] - camera.cy) / camera.fy
+        )
+        # Columns and rows, counted from 0, where the image shows what a pixel does.
+        x, y = camera.fx * x + lens.skew * y + camera.cx - 0.5, camera.fy * y + camera.cy - 0.5
+        x, y = x.reshape(shape), y.reshape(shape)
         rows, columns = _valid_rectangle(camera, x, y)
     at = np.stack([y[rows, columns], x[rows, columns]])
     _, height, width = at.shape
@@ -77,17 +79,6 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
         )
     cut = camera.cropped(columns.start, rows.start, width, height)
     return cut, [map_coordinates(image, at, order=3, mode="nearest") for image in images]
-
-
-def _sources(camera: Camera, lens: Lens) -> tuple[Array, Array]:
-    """(H, W) columns and rows, counted from 0, where the image shows what an undistorted pixel does."""
-    centres = camera.pixel_centres()
-    x, y = (centres[:, 0] - camera.cx) / camera.fx, (centres[:, 1] - camera.cy) / camera.fy
-    x, y = lens.distorted(x, y)
-    shape = camera.height, camera.width
-    across = camera.fx * x + lens.skew * y + camera.cx - 0.5
-    down = camera.fy * y + camera.cy - 0.5
-    return across.reshape(shape), down.reshape(shape)
 
 
 def _valid_rectangle(camera: Camera, x: Array, y: Array) -> tuple[slice, slice]:
@@ -114,50 +105,33 @@ def _folds(x: Array, y: Array) -> bool:
     if min(x.shape) < 2:
         return False
     (x_down, x_across), (y_down, y_across) = np.gradient(x), np.gradient(y)
-    return bool((x_across * y_down - x_down * y_across <= 0).any())
+    return bool((x_across * y_down <= x_down * y_across).any())
 
 
 @dataclass(frozen=True)
 class PosedImage:
-    """An image of a known camera and time.
+    """An image of a known camera and time."""
 
-    Attributes:
-        camera: the view without the distortion of its lens, in the size of the image.
-        lens: its distortion; None if there is none.
-        file: the image, PNG or JPEG in sRGB, with or without alpha.
-        labels: an image of the same size that shows what moves; None if nobody says.
-        time: that it shows, from 0 to 1.
-        held_out: whether training must not see it.
-    """
-
-    camera: Camera
-    lens: Lens | None
-    file: Path
-    labels: Path | None
-    time: float
-    held_out: bool
+    camera: Camera  # the view without the distortion of its lens, in the size of the image
+    lens: Lens | None  # its distortion; None if there is none
+    file: Path  # the image, PNG or JPEG in sRGB, with or without alpha
+    labels: Path | None  # an image of the same size that shows what moves; None if nobody says
+    time: float  # that it shows, from 0 to 1
+    held_out: bool  # whether training must not see it
 
 
 @dataclass(frozen=True)
 class PosedFolder:
-    """A folder of posed images.
-
-    Attributes:
-        folder: the folder itself.
-        layout: name of its layout.
-        scene_name: the folder's name, as far as it can be that of a scene.
-        scene_hash: SHA-256 of the images and of all that is known of them.
-        images: training and held-out ones, in the order of the folder.
-        points: (M, 3) float64, some of what the images show, in world space; None if none are known.
-        bounds: distances between which everything lies that they show; None if nobody says.
-    """
+    """A folder of posed images."""
 
     folder: Path
-    layout: str
-    scene_name: str
-    scene_hash: str
-    images: list[PosedImage]
+    layout: str  # its name
+    scene_name: str  # the folder's name, as far as it can be that of a scene
+    scene_hash: str  # SHA-256 of the images and of all that is known of them
+    images: list[PosedImage]  # training and held-out ones, in the order of the folder
+    # (M, 3) float64, some of what the images show, in world space; None if none are known.
     points: NDArray[np.float64] | None = None
+    # Distances between which everything lies that they show; None if nobody says.
     bounds: tuple[float, float] | None = None
 
     @property
@@ -183,19 +157,13 @@ class PosedFolder:
 
 @dataclass(frozen=True)
 class PosedPixels:
-    """What a posed image shows, without the distortion of its lens.
+    """What a posed image shows, without the distortion of its lens."""
 
-    Attributes:
-        camera: the view; smaller than the image where a margin had to be cut off.
-        radiance: (H, W, 3) float32, linear; over white where the image has alpha, as is convention.
-        alpha: (H, W) float32 from 0 to 1, 0 where nothing is; None if the image is opaque.
-        moving: (H, W) bool, what moves; None if nobody says.
-    """
-
-    camera: Camera
-    radiance: Image
+    camera: Camera  # the view; smaller than the image where a margin had to be cut off
+    radiance: Image  # (H, W, 3) float32, linear; over white where the image has alpha, as is convention
+    # (H, W) float32 from 0 to 1, 0 where nothing is; None if the image is opaque.
     alpha: NDArray[np.float32] | None
-    moving: NDArray[np.bool_] | None
+    moving: NDArray[np.bool_] | None  # (H, W) bool, what moves; None if nobody says
 
 
 def read_size(path: Path) -> tuple[int, int]:

@@ -80,18 +80,14 @@ def _nerfstudio(folder: Path) -> dict[str, Any] | None:
         content = read_json(folder / TRANSFORMS)
     except (OSError, ValueError):
         return None
-    return (
-        content
-        if isinstance(content, dict) and "frames" in content and "format_version" not in content
-        else None
-    )
+    is_own = not isinstance(content, dict) or "frames" not in content or "format_version" in content
+    return None if is_own else content
 
 
 def read_posed_folder(folder: Path) -> PosedFolder:
-    """Reads a folder of posed images, except for the pixels, and checks that all files are there.
+    """Reads a folder of posed images, but not their pixels.
 
-    UserError if the layout is unknown, there is no training image, a file is missing or damaged, or values
-    make no view.
+    UserError if the layout is unknown, there is no training image, or a file is missing or damaged.
     """
     points = bounds = None
     if (folder / TRAINING).is_file():
@@ -111,13 +107,11 @@ def read_posed_folder(folder: Path) -> PosedFolder:
         )
     if all(image.held_out for image in images):
         raise UserError(f"{folder}: holds no frames to train on")
-    return PosedFolder(
-        folder, layout, scene_name(folder.resolve().name, _UNNAMED), _hash(images), images, points, bounds
-    )
+    name = scene_name(folder.resolve().name, _UNNAMED)
+    return PosedFolder(folder, layout, name, _hash(images), images, points, bounds)
 
 
 def _hash(images: list[PosedImage]) -> str:
-    """SHA-256 of all images, their labels, cameras and times."""
     state = hashlib.sha256()
     for image in images:
         state.update(repr((image.camera.key, image.lens, image.time, image.held_out)).encode())
@@ -129,7 +123,7 @@ def _hash(images: list[PosedImage]) -> str:
     return state.hexdigest()
 
 
-def document(path: Path) -> Any:
+def document(path: Path) -> dict[str, Any]:
     """The content of a JSON file; UserError if it is missing, cannot be read, or is no JSON."""
     try:
         return read_json(path)
@@ -162,18 +156,15 @@ def read_synthetic(folder: Path) -> list[PosedImage]:
 def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
     """The images of a folder in the order of its description; UserError as in `read_synthetic`."""
     images = _frames(folder / TRANSFORMS, content, False)
+    # By convention, unless somebody says which.
+    chosen = {image.file for image in images[::HELD_OUT_EVERY]} if len(images) > HELD_OUT_EVERY else set()
     with described_by(folder / TRANSFORMS):
-        named = next((content[key] for key in ("test_filenames", "val_filenames") if content.get(key)), None)
-        if named is not None:
+        if named := content.get("test_filenames") or content.get("val_filenames"):
             chosen = {_image_file(folder, name) for name in named}
-            return [replace(image, held_out=image.file in chosen) for image in images]
-    if len(images) <= HELD_OUT_EVERY:
-        return images
-    return [replace(image, held_out=number % HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
+    return [replace(image, held_out=image.file in chosen) for image in images]
 
 
-def _frames(path: Path, content: Any, held_out: bool) -> list[PosedImage]:
-    """The images that the content of a file describes."""
+def _frames(path: Path, content: dict[str, Any], held_out: bool) -> list[PosedImage]:
     with described_by(path):
         frames = list(content["frames"])
     found = []
@@ -185,7 +176,7 @@ def _frames(path: Path, content: Any, held_out: bool) -> list[PosedImage]:
     return found
 
 
-def _image_file(folder: Path, name: Any) -> Path:
+def _image_file(folder: Path, name: object) -> Path:
     """The image of a frame: as it is named, or of the first kind that there is if only the stem is named."""
     file = file_inside(folder, name.replace("\\", "/") if isinstance(name, str) else name)
     if file.suffix.lower() in _IMAGES:
@@ -209,9 +200,9 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera, Lens
     if "fl_x" in values:
         focal = number("fl_x", 0), number("fl_y", values["fl_x"])
     else:
-        focal = (_focal(values, "camera_angle_x", width),) * 2
-        if "camera_angle_y" in values:
-            focal = focal[0], _focal(values, "camera_angle_y", height)
+        across = _focal(values, "camera_angle_x", width)
+        has_other = "camera_angle_y" in values
+        focal = across, _focal(values, "camera_angle_y", height) if has_other else across
     centre = number("cx", width / 2), number("cy", height / 2)
     coefficients = [number(name, 0) for name in ("k1", "k2", "k3", "k4", "p1", "p2")]
     if not (
@@ -239,16 +230,12 @@ def _focal(values: dict[str, Any], name: str, side: float) -> float:
 def read_nerfies(
     folder: Path,
 ) -> tuple[list[PosedImage], NDArray[np.float64] | None, tuple[float, float] | None]:
-    """Images, points (M, 3) in the coordinates of their cameras, and the bounds of distances.
-
-    UserError if a file is missing or damaged, labels are of another size, or values make no view.
-    """
+    """Images, points (M, 3) of their cameras' coordinates, and bounds of distances; UserError if damaged."""
     content = document(folder / DATASET)
     with described_by(folder / DATASET):
         held_out = [str(name) for name in content.get("val_ids", [])]
-        training = [str(name) for name in content["train_ids"]]
-    # What is both is held out.
-    ids = [*(name for name in training if name not in held_out), *held_out]
+        # What is both is held out.
+        ids = [*(name for name in map(str, content["train_ids"]) if name not in held_out), *held_out]
     times = _times(folder / "metadata.json", ids)
     centre, scale, bounds = _scene(folder / "scene.json")
     level = _level(folder, ids)
@@ -262,8 +249,9 @@ def read_nerfies(
             camera, lens = _nerfies_camera(content, centre, scale, level, size)
         label = None if labels is None else _label(labels, name, size)
         images.append(PosedImage(camera, lens, file, label, time, name in held_out))
-    points = _points(folder / _POINTS) if (folder / _POINTS).is_file() else None
-    return images, None if points is None else (points - centre) * scale, bounds
+    if not (folder / _POINTS).is_file():
+        return images, None, bounds
+    return images, (_points(folder / _POINTS) - centre) * scale, bounds
 
 
 def _times(path: Path, ids: list[str]) -> list[float]:
@@ -308,25 +296,21 @@ def _level(folder: Path, ids: list[str]) -> int:
 
 
 def _labels_folder(folder: Path, level: int) -> Path | None:
-    """Where the label images of that size lie; None if there are none."""
     places = [folder / name / f"{level}x" for name in _LABEL_FOLDERS]
     return next((place for place in places if place.is_dir()), None)
 
 
 def _label(folder: Path, name: str, size: tuple[int, int]) -> Path:
-    """The label image that belongs to an image of a size."""
     mask = _file(folder, name, ".png.png")
     path = mask if mask.is_file() else _file(folder, name, ".png")
-    found = read_size(path)
-    if found != size:
-        raise UserError(
-            f"{path}: {found[0]} x {found[1]} pixels; must be {size[0]} x {size[1]}, as of the image"
-        )
+    (width, height), wanted = read_size(path), f"{size[0]} x {size[1]}"
+    if (width, height) != size:
+        raise UserError(f"{path}: {width} x {height} pixels; must be {wanted}, as of the image")
     return path
 
 
 def _nerfies_camera(
-    content: Any, centre: NDArray[np.float64], scale: float, level: int, size: tuple[int, int]
+    content: dict[str, Any], centre: NDArray[np.float64], scale: float, level: int, size: tuple[int, int]
 ) -> tuple[Camera, Lens | None]:
     """The camera of an image, and its lens if that distorts."""
     rotation = np.asarray(content["orientation"], dtype=np.float64)

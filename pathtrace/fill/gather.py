@@ -13,10 +13,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 
-from pathtrace.cache.cells import Points, joined_points
+from pathtrace.cache.cells import Floats, Indices, Mask, Points, joined_points
 from pathtrace.cache.irradiance_cache import (
     IrradianceCache,
     irradiance_share,
@@ -25,8 +24,9 @@ from pathtrace.cache.irradiance_cache import (
     shows_lights,
 )
 from pathtrace.cache.light_selection import LightSamples, light_numbers
-from pathtrace.scene.instances import of_mitsuba
+from pathtrace.scene.instances import AnyScene, of_mitsuba
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.film import random_numbers
 
 # Samples of lights from each point; a square, for they are stratified.
 _STRATA = 2
@@ -43,22 +43,19 @@ _ANY_AREA = 1e9
 
 @dataclass(frozen=True)
 class Followed:
-    """What M rays found that were followed through mirrors, glossy surfaces and glass, as Dr.Jit arrays.
+    """What M rays found, as in `Seen`, but for the last surface, and the normal of its lit side."""
 
-    Attributes are those of `Seen`, but for the last surface and the normal of its lit side.
-    """
-
-    radiance: Any
-    passed: Any
-    hit: Any
-    side: Any
-    valid: Any
-    shiny: Any
-    bounces: Any
-    reflectance: Any
+    radiance: mi.Color3f
+    passed: mi.UInt32
+    hit: mi.SurfaceInteraction3f
+    side: mi.Normal3f
+    valid: mi.Bool
+    shiny: mi.Bool
+    bounces: mi.UInt32
+    reflectance: mi.Color3f
 
 
-def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
+def surfaces_at(places: tuple[Any, Any], index: mi.UInt32, active: mi.Bool = True) -> mi.SurfaceInteraction3f:
     """Mitsuba interactions at some places, given all positions and unit normals of the lit side."""
     position = dr.gather(mi.Point3f, places[0], index, active)
     normal = dr.gather(mi.Normal3f, places[1], index, active)
@@ -68,21 +65,22 @@ def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
     return at
 
 
-def stratified(sampler: Any, lane: Any) -> Any:
+def stratified(sampler: mi.Sampler, lane: mi.UInt32) -> mi.Point2f:
     """Random points in the unit square, spread evenly over each SAMPLES lanes."""
     row, column = (lane % SAMPLES) // _STRATA, lane % _STRATA
     return mi.Point2f((column + sampler.next_1d()) / _STRATA, (row + sampler.next_1d()) / _STRATA)
 
 
-def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any, Any, Any]:
+def lit(
+    scene: AnyScene, at: mi.SurfaceInteraction3f, square: mi.Point2f, other: mi.Point2f, active: mi.Bool
+) -> tuple[Any, Any, Any]:
     """Irradiance at points from lights, by one shadow ray each and one ray that may hit a light.
 
-    A lamp that touches a point is hardly ever sampled where it does, and then outshines all others; rays in
-    any direction find it there. The two are weighed against each other (Veach and Guibas 1995).
+    A lamp that touches a point is hardly ever sampled where it does; rays in any direction find it there. The
+    two are weighed against each other (Veach and Guibas 1995).
 
     Args:
-        scene: a Mitsuba scene.
-        at: from `surfaces_at`; only those that are active count.
+        scene, at: a scene, and `surfaces_at` it; only those that are active count.
         square: where on the lights, each light with the same chance.
         other: where the other ray's direction lies, cosine-weighted around the normal.
 
@@ -107,22 +105,24 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
     return sampled + hits, sampled, registered
 
 
-def _ray(at: Any, square: Any) -> Any:
+def _ray(at: mi.SurfaceInteraction3f, square: mi.Point2f) -> mi.Ray3f:
     return at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
 
 
-def _finite(light: Any) -> Any:
+def _finite(light: mi.Color3f) -> mi.Color3f:
     """Light, black where it is not finite: it would spoil its cell's mean."""
     return dr.select(dr.all(dr.isfinite(light)), light, 0)
 
 
-def _chosen(sampler: Any, part: Any, total: Any) -> Any:
+def _chosen(sampler: mi.Sampler, part: mi.Color3f, total: mi.Color3f) -> mi.Bool:
     """Mask of the lanes in which a part of a sum is chosen in proportion to its size."""
     return sampler.next_1d() * dr.mean(total) < dr.mean(part)
 
 
 @dr.syntax
-def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
+def followed(
+    scene: AnyScene, sampler: mi.Sampler, at: mi.SurfaceInteraction3f, square: mi.Point2f, active: mi.Bool
+) -> Followed:
     """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
     ray, active = _ray(at, square), mi.Bool(active)
     context, passed = mi.BSDFContext(), mi.UInt32(1)
@@ -176,32 +176,21 @@ def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Fol
 
 @dataclass(frozen=True)
 class Seen:
-    """What M rays from points found.
+    """What M rays from points found."""
 
-    Attributes:
-        point: (M,) index of the point that each started at.
-        square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one hit
-            first.
-        passed: (M,) number of such surfaces on the way to these lights, at least 1; of several ways one by
-            chance, more likely the one that brought more.
-        hits: the M points that they hit last.
-        valid: (M,) whether a ray hit a surface that reflects irradiance.
-        shiny: (M,) whether the surface that it hit first may show lights.
-        bounces: (M,) mirrors, glossy and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point, if valid; else
-            0.
-    """
-
-    point: NDArray[np.int64]
-    square: NDArray[np.float32]
-    radiance: NDArray[np.float32]
-    passed: NDArray[np.int64]
-    hits: Points
-    valid: NDArray[np.bool_]
-    shiny: NDArray[np.bool_]
-    bounces: NDArray[np.int64]
-    reflectance: NDArray[np.float32]
+    point: Indices  # (M,) index of the point that each started at
+    # (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
+    square: Floats
+    # (M, 3) of lights in mirrors, glossy surfaces and glass, but for one hit first.
+    radiance: Floats
+    # (M,) number of such surfaces on the way to them, at least 1; of several ways one by chance.
+    passed: Indices
+    hits: Points  # the M points that they hit last
+    valid: Mask  # (M,) whether a ray hit a surface that reflects irradiance
+    shiny: Mask  # (M,) whether the surface that it hit first may show lights
+    bounces: Indices  # (M,) mirrors, glossy and glass surfaces on the way
+    # (M, 3) share of the irradiance of what was hit that arrives at the point; 0 if not valid.
+    reflectance: Floats
 
     @staticmethod
     def joined(parts: Sequence[Seen]) -> Seen:
@@ -214,28 +203,26 @@ class Seen:
         return Seen(**values, hits=joined_points([part.hits for part in parts]))
 
 
-def gather_direct(scene: Any, points: Points, seed: int) -> tuple[NDArray[np.float32], LightSamples]:
-    """Irradiance (N, 3) from the lights of a Mitsuba scene at N points, by SAMPLES samples of them at each.
-
-    Also returns the samples; same seed, same samples.
-    """
-    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
-    *means, sampled, registered = sampled_lights(scene, dr.opaque(mi.UInt32, seed), places, len(points))
+def gather_direct(scene: AnyScene, points: Points, seed: int) -> tuple[Floats, LightSamples]:
+    """Irradiance (N, 3) at points from lights, and SAMPLES samples of these at each; same seed, same ones."""
+    state = dr.opaque(mi.UInt32, seed)
+    *means, sampled, registered = sampled_lights(scene, state, points.arrays, len(points))
     light = light_numbers(scene)[registered.numpy()]
     samples = LightSamples(np.arange(len(light)) // SAMPLES, light, sampled.numpy())
     return np.stack([channel.numpy() for channel in means], axis=1), samples
 
 
 def sampled_lights(
-    scene: Any, state: Any, places: tuple[Any, Any], count: int, first: Any = 0, total: Any = None
+    scene: AnyScene,
+    state: mi.UInt32,
+    places: tuple[Any, Any],
+    count: int,
+    first: mi.UInt32 | int = 0,
+    total: int | None = None,
 ) -> tuple[Any, ...]:
-    """Three channels of irradiance at `count` points, that of each sample, and its light's number.
-
-    Points are those from the first on of `total` places, given as their positions and normals.
-    """
+    """Three channels of irradiance at `count` of `total` places, that of each sample, and light numbers."""
     lane = dr.arange(mi.UInt32, count * SAMPLES)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(state, count * SAMPLES)
+    sampler = random_numbers(state, count * SAMPLES)
     point = first + lane // SAMPLES
     active = mi.Bool(True) if total is None else point < total
     squares = stratified(sampler, lane), stratified(sampler, lane)
@@ -248,31 +235,17 @@ def sampled_lights(
     return *means, *samples[3:]
 
 
-def gather_seen(
-    scene: Any, points: Points, point: NDArray[np.int64], square: NDArray[np.float32], seed: int
-) -> Seen:
-    """Follows M rays from points of a Mitsuba scene; `point` and `square` are those of `Seen`.
-
-    With the same seed, ways through mirrors and glass are the same.
-    """
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), len(point))
-    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
-    at = surfaces_at(places, mi.UInt32(point.astype(np.uint32)))
+def gather_seen(scene: AnyScene, points: Points, point: Indices, square: Floats, seed: int) -> Seen:
+    """Follows M rays from points; `point` and `square` are those of `Seen`. Same seed, same ways."""
+    sampler = random_numbers(dr.opaque(mi.UInt32, seed), len(point))
+    at = surfaces_at(points.arrays, mi.UInt32(point.astype(np.uint32)))
     found = followed(scene, sampler, at, mi.Point2f(square.T), mi.Bool(True))
-    position, side = found.hit.p, mi.Vector3f(found.side)
-    flags = found.passed, found.valid, found.shiny, found.bounces
-    dr.eval(found.radiance, position, side, *flags, found.reflectance)
+    hits, counts = (found.hit.p, mi.Vector3f(found.side)), (found.passed, found.bounces)
+    dr.eval(hits, counts, found.valid, found.shiny, found.radiance, found.reflectance)
+    passed, bounces = (count.numpy().astype(np.int64) for count in counts)
     return Seen(
-        point,
-        square,
-        found.radiance.numpy().T,
-        found.passed.numpy().astype(np.int64),
-        Points(position.numpy().T, side.numpy().T),
-        found.valid.numpy(),
-        found.shiny.numpy(),
-        found.bounces.numpy().astype(np.int64),
-        found.reflectance.numpy().T,
+        *(point, square, found.radiance.numpy().T, passed, Points(*(part.numpy().T for part in hits))),
+        *(found.valid.numpy(), found.shiny.numpy(), bounces, found.reflectance.numpy().T),
     )
 
 
@@ -280,18 +253,17 @@ def irradiance_over_time(
     scene: Scene,
     cache: IrradianceCache,
     points: Callable[[float], Points],
-    moving: NDArray[np.int64],
+    moving: Indices,
     times: Sequence[float],
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> NDArray[np.float32]:
+) -> Floats:
     """(T, 3, N) irradiance of N points, of which (M,) move, at T times from 0 to 1, ascending.
 
-    Light that comes over other surfaces has the irradiance of time 0 there, which is the cache's; on what
-    stands still, it is as at time 0. All times have the same random numbers, so that their ratios have less
-    noise than they. Same seed, same irradiance on the same machine.
+    Light that comes over other surfaces has the cache's irradiance, of time 0, there; on what stands still,
+    it is as at time 0. All times have the same random numbers, so that their ratios have little noise.
 
-    `points` says where the N points are at a time, and progress is told the times done and their number.
+    `points` says where the N points are at a time; progress is told the times done and their number.
     Afterwards the scene shows the last time.
     """
     scene.set_time(0.0)
@@ -313,7 +285,7 @@ def irradiance_over_time(
     return np.maximum(found, 0, out=found)
 
 
-def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -> NDArray[np.float32]:
+def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -> Floats:
     """(3, N) irradiance that arrives over other surfaces, whose own irradiance is that of the cache."""
     rng = np.random.default_rng(seed)
     start = np.repeat(np.arange(len(points)), _RAYS)

@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from pathtrace.cache.cells import Floats, Indices
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightLearning, LightSamples, light_numbers
 from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
 from pathtrace.fill.filling import segments_beyond_cache
 from pathtrace.fill.gather import SAMPLES, followed, sampled_lights, surfaces_at
+from pathtrace.scene.instances import AnyScene, FrozenWithScenes
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.frozen import FrozenWithScenes
+from pathtrace.trace.film import random_numbers
 
 # Share of the mean light that a dark place is taken to have had: where it was dark, a lamp may now shine.
 _LEAST = 1e-3
@@ -37,13 +39,12 @@ PARTS = 12
 
 
 class Renewal:
-    """Sums over A places, before and after a change of the light.
+    """Sums over A places in regions (A,), numbered from 0 on, before and after a change of the light.
 
-    Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,). Places
-    lie in regions (A,), numbered from 0 on.
+    Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,).
     """
 
-    def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
+    def __init__(self, sums: NDArray[Any], numbers: Indices, regions: Indices):
         self._numbers, self._regions = numbers, regions
         places = np.arange(len(numbers))
         shape = int(regions.max(initial=-1)) + 1, len(numbers)
@@ -56,7 +57,7 @@ class Renewal:
         self._new = np.zeros_like(self._old)
         self._renewed = np.zeros(len(numbers))
 
-    def add(self, places: NDArray[Any], light: NDArray[np.float32]) -> None:
+    def add(self, places: NDArray[Any], light: Floats) -> None:
         """Adds new samples: their places (M,), and their light (M, 3)."""
         self._new += sums_by(places, light, len(self._numbers))
         self._renewed += np.bincount(places, minlength=len(self._numbers))
@@ -76,24 +77,17 @@ class Renewal:
 
 
 class Spreading:
-    """Irradiance of cells that follows the light which falls on them directly.
+    """Irradiance of cells that follows direct light, which is sent as in `Transport.irradiance`."""
 
-    What is sent (S, C, 3), and the number of segments that count at most, are as in `Transport.irradiance`.
-    """
-
-    def __init__(self, transport: Transport, sent: NDArray[np.float32], most: int):
+    def __init__(self, transport: Transport, sent: Floats, most: int):
         self._transport, self._next, self._sent = transport, 1, sent
         self._known = transport.every(sent, most)
         self._share = -(-(len(self._known) - 1) // _STEPS)
 
     @property
     def steps(self) -> int:
-        """Steps after which nothing is left of the light before `restart`."""
+        """Steps after which nothing is left of the light before a restart."""
         return -(-(len(self._known) - 1) // max(self._share, 1))
-
-    def restart(self) -> None:
-        """Lets the next steps begin with the first segment."""
-        self._next = 1
 
     def step(self) -> None:
         """Passes light on by the next few segments; after the last one, by the first ones again."""
@@ -103,35 +97,31 @@ class Spreading:
             self._known[self._next] = self._sent[min(self._next, len(self._sent) - 1)] + received
             self._next += 1
 
-    def light(self, sent: NDArray[np.float32]) -> None:
-        """Sets the light (S, C, 3) that the next steps pass on."""
+    def light(self, sent: Floats, restart: bool = False) -> None:
+        """Sets the light (S, C, 3) that the next steps pass on, from the first segment if restarted."""
         self._sent, self._known[0] = sent, sent[0]
+        self._next = 1 if restart else self._next
 
-    def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+    def irradiance(self, cells: Indices) -> Floats:
         """(K, c, 3) of cells given by their indices, as in `IrradianceCache`."""
         return told_apart([np.take(light, cells, axis=0) for light in self._known])
 
 
 @dataclass(frozen=True)
 class Part:
-    """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
-
-    As Dr.Jit arrays, `sampled` holds the irradiance of the points, that of each sample, and its light;
-    `shown` the irradiance by rays. `numbers` are the indices of lights, by the numbers by which kernels know
-    them.
-    """
+    """New samples at n points of a `Transfer` and m of its rays; computed when they are read."""
 
     points: slice
     rays: slice
-    sampled: tuple[Any, ...]
-    shown: tuple[Any, ...]
-    numbers: NDArray[np.uint32]
+    sampled: tuple[mi.Float, ...]  # of the points: irradiance, that of each sample, and its light
+    shown: tuple[mi.Float, ...]  # irradiance by the rays
+    numbers: NDArray[np.uint32]  # indices of lights, by the numbers by which kernels know them
 
-    def direct(self) -> NDArray[np.float32]:
+    def direct(self) -> Floats:
         """(n, 3) irradiance of the points from lights."""
         return _rows(self.sampled[:3], self.points)
 
-    def reflected(self) -> NDArray[np.float32]:
+    def reflected(self) -> Floats:
         """(m, 3) irradiance from lights that rays found in mirrors, glossy surfaces and glass."""
         return _rows(self.shown, self.rays)
 
@@ -145,13 +135,12 @@ class Part:
 class Resampling:
     """Samples the lights of a Mitsuba scene from the points and rays of a transfer, part by part."""
 
-    def __init__(self, scene: Any, transfer: Transfer, parts: int, seed: int):
+    def __init__(self, scene: AnyScene, transfer: Transfer, parts: int, seed: int):
         self._scene, self._numbers = scene, light_numbers(scene)
         self._parts, self._next, self._random = parts, 0, np.random.default_rng(seed)
         self._counts = len(transfer.points), len(transfer.rays)
         self._sizes = tuple(-(-count // parts) for count in self._counts)
-        position, normal = transfer.points.position, transfer.points.normal
-        self._points = mi.Point3f(position.T), mi.Normal3f(normal.T)
+        self._points = transfer.points.arrays
         # One more ray, since kernels cannot read from an empty array.
         self._rays = (
             mi.UInt32(np.append(transfer.rays.point, np.int32(0)).astype(np.uint32)),
@@ -168,28 +157,28 @@ class Resampling:
             for size, count in zip(self._sizes, self._counts, strict=True)
         )
         self._next = (self._next + 1) % self._parts
-        sampled = self._light(self._scene, *self._from(points), *self._points)
-        shown: tuple[Any, ...] = ()
+        sampled = self._light(self._scene, *self._from(points), self._points)
+        shown: tuple[mi.Float, ...] = ()
         if self._sizes[1]:
-            shown = self._show(self._scene, *self._from(rays), *self._points, *self._rays)
+            shown = self._show(self._scene, *self._from(rays), self._points, self._rays)
         return Part(points, rays, sampled, shown, self._numbers)
 
-    def _from(self, part: slice) -> tuple[Any, Any]:
-        """Seed and first index of a part, for kernels."""
+    def _from(self, part: slice) -> tuple[mi.UInt32, ...]:
         return tuple(dr.opaque(mi.UInt32, n) for n in (int(self._random.integers(1 << 32)), part.start))
 
-    def _of_points(self, scene: Any, state: Any, first: Any, position: Any, normal: Any) -> tuple[Any, ...]:
+    def _of_points(
+        self, scene: AnyScene, state: mi.UInt32, first: mi.UInt32, places: tuple[mi.Point3f, mi.Normal3f]
+    ) -> tuple[mi.Float, ...]:
         """Direct light at points, its samples and their lights; frozen."""
-        return sampled_lights(scene, state, (position, normal), self._sizes[0], first, self._counts[0])
+        return sampled_lights(scene, state, places, self._sizes[0], first, self._counts[0])
 
     def _of_rays(
-        self, scene: Any, state: Any, first: Any, position: Any, normal: Any, *rays: Any
-    ) -> tuple[Any, ...]:
+        self, scene: AnyScene, state: mi.UInt32, first: mi.UInt32, *given: tuple[Any, ...]
+    ) -> tuple[mi.Float, ...]:
         """Light of lights that rays find; frozen."""
-        point, square, weight = rays
+        (position, normal), (point, square, weight) = given
         ray = first + dr.arange(mi.UInt32, self._sizes[1])
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, self._sizes[1])
+        sampler = random_numbers(state, self._sizes[1])
         active = ray < self._counts[1]
         start = dr.gather(mi.UInt32, point, ray, active)
         at = surfaces_at((position, normal), start, active)
@@ -200,7 +189,7 @@ class Resampling:
         return shown
 
 
-def _rows(channels: tuple[Any, ...], part: slice) -> NDArray[np.float32]:
+def _rows(channels: tuple[Any, ...], part: slice) -> Floats:
     """(n, 3) the values of a part; lanes beyond its end are left out."""
     if not channels:
         return np.zeros((0, 3), dtype=np.float32)
@@ -210,8 +199,7 @@ def _rows(channels: tuple[Any, ...], part: slice) -> NDArray[np.float32]:
 class Relighting:
     """The light of a cache, kept up to date with the lights of its scene, which have just changed.
 
-    The cache, which was filled for that scene, has at least one cell, and all of its light is known. With the
-    same seed, light is the same on the same machine.
+    The cache has at least one cell, and all of its light is known. Same seed, same light on the same machine.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, seed: int = 0):
@@ -233,9 +221,8 @@ class Relighting:
         self._begin()
 
     def _begin(self) -> None:
-        self._learning = LightLearning(self._cache.lights)
+        self._learning, self._done = LightLearning(self._cache.lights), 0
         self._spreading: Spreading | None = None
-        self._done = 0
 
     @property
     def renewed(self) -> float:
@@ -251,28 +238,22 @@ class Relighting:
         if self._spreading is not None:
             self._spreading.step()
         if part is not None:
-            self._add(part)
+            self._direct.add(self._transfer.patch[part.points], part.direct())
+            self._reflected.add(self._transfer.ray_regions[part.rays], part.reflected())
+            self._learning.add(part.lights(), self._rows[part.points])
         self._done += 1
         irradiance = self._spread().irradiance(self._cells)
         lights = self._learning.choice()
         self._cache = replace(self._cache, irradiance=irradiance, lights=lights, renewed=self.renewed)
         return self._cache
 
-    def _add(self, part: Part) -> None:
-        """Learns from new samples."""
-        self._direct.add(self._transfer.patch[part.points], part.direct())
-        self._reflected.add(self._transfer.ray_regions[part.rays], part.reflected())
-        self._learning.add(part.lights(), self._rows[part.points])
-
     def _spread(self) -> Spreading:
         """The light on its way, with what is known of direct light now; all the way at first."""
+        if self._spreading is not None and self._done > PARTS:
+            return self._spreading
+        light = self._transfer.of_cells(self._direct.sums(), self._reflected.sums())
         if self._spreading is None:
-            self._spreading = Spreading(self._transfer.transport, self._light(), self._most)
-        elif self._done <= PARTS:
-            self._spreading.light(self._light())
-            if self._done == PARTS:
-                self._spreading.restart()
+            self._spreading = Spreading(self._transfer.transport, light, self._most)
+        else:
+            self._spreading.light(light, restart=self._done == PARTS)
         return self._spreading
-
-    def _light(self) -> NDArray[np.float32]:
-        return self._transfer.of_cells(self._direct.sums(), self._reflected.sums())

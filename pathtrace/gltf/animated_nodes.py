@@ -14,27 +14,19 @@ from pathtrace.gltf.document import Document, read_array
 
 _COLUMNS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 _PATHS = ("translation", "rotation", "scale")
-# Of the whole time, between what is before a step and what is after it.
-_STEP = 1e-6
 
 
 @dataclass(frozen=True)
 class Sampler:
     """Values over time; before the first keyframe and after the last one, they are those of it.
 
-    Attributes:
-        times: (K,) of the keyframes in seconds, ascending.
-        values: (K, C); (K, 3, C) of cubic splines: in-tangents, values and out-tangents.
-        interpolation: LINEAR, STEP or CUBICSPLINE.
-        is_rotation: whether values are quaternions (x, y, z, w), which turn at a constant speed.
-
     ValueError if times do not ascend, or are not as many as the values, or a quaternion has no length.
     """
 
-    times: Array
-    values: Array
-    interpolation: str
-    is_rotation: bool
+    times: Array  # (K,) of the keyframes in seconds, ascending
+    values: Array  # (K, C); (K, 3, C) of cubic splines: in-tangents, values and out-tangents
+    interpolation: str  # LINEAR, STEP or CUBICSPLINE
+    is_rotation: bool  # whether values are quaternions (x, y, z, w), which turn at a constant speed
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.values):
@@ -87,28 +79,9 @@ class Animation:
         """When its last keyframe is, from 0 on; 0 if nothing moves."""
         return max([0.0, *(float(sampler.times[-1]) for sampler in self.channels.values())])
 
-    def even_times(self, fps: float) -> Array:
-        """(T,) equal steps of time in seconds, from 0 to the end, at least so many a second."""
-        return np.linspace(0, self.seconds, max(int(np.ceil(self.seconds * fps - 1e-6)), 1) + 1)
-
-    def all_times(self, fps: float) -> Array:
-        """(T,) these, all keyframes, and moments before steps, in seconds, ascending."""
-        found = [self.even_times(fps)]
-        for sampler in self.channels.values():
-            found.append(sampler.times)
-            if sampler.interpolation == "STEP":
-                found.append(sampler.times[1:] - _STEP * self.seconds)
-        times = np.unique(np.concatenate(found))
-        times = times[times >= 0]
-        # Those that are closer are the same but for rounding, and keyframes must ascend.
-        return times[np.diff(times, prepend=-np.inf) > 0.1 * _STEP * self.seconds]
-
 
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
-    """The animation of a name or number, else all that move different things, else the first one.
-
-    Lines for the user are added to the remarks. UserError if there is none, or it moves what does not exist.
-    """
+    """The animation of a name or number, else all that move different things, else the first one."""
     items = document.section("animations")
     names = [str(item.get("name", number)) for number, item in enumerate(items)]
     if name is not None:
@@ -171,17 +144,32 @@ def _sampler(
 
 
 class Nodes:
-    """The nodes of a file while an animation plays; UserError if they are not trees.
-
-    `shown` are the numbers of the nodes of the scene that is shown, parents first.
-    """
+    """Nodes while an animation plays; those that are `shown`, parents first. UserError if not trees."""
 
     def __init__(self, document: Document, animation: Animation):
         self.animation = animation
         self._items = document.section("nodes")
-        self._parents = _parents(document, self._items)
-        self._order = _parents_first(document, self._parents)
-        shown = set(_roots(document, self._parents))
+        self._parents: list[int | None] = [None] * len(self._items)
+        children = [[int(child) for child in item.get("children", [])] for item in self._items]
+        for parent, own in enumerate(children):
+            for child in own:
+                document.item("nodes", child, f"nodes[{parent}]")
+                if self._parents[child] is not None:
+                    raise document.refused(f"nodes[{child}] has two parents")
+                self._parents[child] = parent
+        self._order = [node for node, parent in enumerate(self._parents) if parent is None]
+        roots = self._order.copy()
+        for node in self._order:
+            self._order += children[node]
+        if lost := set(range(len(self._items))) - set(self._order):
+            raise document.refused(f"nodes[{min(lost)}] is its own ancestor")
+        if document.section("scenes"):
+            # The scene that a viewer is to show, the first one if the file does not say.
+            scene = document.item("scenes", document.tree.get("scene", 0), "scene")
+            roots = [int(node) for node in scene.get("nodes", [])]
+            for node in roots:
+                document.item("nodes", node, "scene")
+        shown = set(roots)
         shown.update(node for node in self._order if self._parents[node] in shown)
         self.shown = [node for node in self._order if node in shown]
 
@@ -225,37 +213,3 @@ class Nodes:
         if path == "rotation" and not found.any(axis=1).all():
             return np.array([[0.0, 0.0, 0.0, 1.0]])
         return found
-
-
-def _parents(document: Document, items: list[dict[str, Any]]) -> list[int | None]:
-    found: list[int | None] = [None] * len(items)
-    for parent, item in enumerate(items):
-        for child in item.get("children", []):
-            document.item("nodes", child, f"nodes[{parent}]")
-            if found[int(child)] is not None:
-                raise document.refused(f"nodes[{child}] has two parents")
-            found[int(child)] = parent
-    return found
-
-
-def _parents_first(document: Document, parents: list[int | None]) -> list[int]:
-    children: dict[int | None, list[int]] = {}
-    for node, parent in enumerate(parents):
-        children.setdefault(parent, []).append(node)
-    order = list(children.get(None, []))
-    for node in order:
-        order += children.get(node, [])
-    if len(order) < len(parents):
-        lost = min(set(range(len(parents))) - set(order))
-        raise document.refused(f"nodes[{lost}] is its own ancestor")
-    return order
-
-
-def _roots(document: Document, parents: list[int | None]) -> list[int]:
-    """Roots of the scene that a viewer is to show, the first one if the file does not say."""
-    if not document.section("scenes"):
-        return [node for node, parent in enumerate(parents) if parent is None]
-    scene = document.item("scenes", document.tree.get("scene", 0), "scene")
-    for node in scene.get("nodes", []):
-        document.item("nodes", node, "scene")
-    return [int(node) for node in scene.get("nodes", [])]

@@ -84,10 +84,7 @@ class Document:
 
 @contextmanager
 def undamaged(file: Path) -> Iterator[None]:
-    """Says of what goes wrong with a file's content that it is damaged, as a UserError.
-
-    The schema leaves extensions alone, and much that refers to something.
-    """
+    """Says of what goes wrong with a file's content, which the schema leaves open, that it is damaged."""
     try:
         yield
     except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
@@ -116,7 +113,17 @@ def read_document(file: Path) -> Document:
         except fastjsonschema.JsonSchemaException as error:
             raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
         for number, buffer in enumerate(document.section("buffers")):
-            document.buffers.append(_buffer(document, number, buffer, binary))
+            user, size = f"buffers[{number}]", buffer["byteLength"]
+            content = binary if "uri" not in buffer and number == 0 else None
+            if "uri" in buffer:
+                content = document.resource(buffer["uri"], user)
+            if content is None:
+                raise document.refused(
+                    f"{user} is missing: it has no uri, and the file has no binary chunk for it"
+                )
+            if len(content) < size:
+                raise document.refused(f"{user} has {len(content):,} bytes of {size:,}")
+            document.buffers.append(content)
         return document
 
 
@@ -140,11 +147,8 @@ def _parts(content: bytes) -> tuple[bytes, bytes | None]:
     return chunks[_JSON], chunks.get(_BINARY)
 
 
-def _mended(tree: Any) -> Any:
-    """A tree without what the specification forbids and exporters write nevertheless.
-
-    That is empty lists, animations without channels, and URIs with spaces and the backslashes of Windows.
-    """
+def _mended(tree: object) -> object:
+    """A tree without forbidden things that exporters write: empty lists and animations, spaces in URIs."""
     if isinstance(tree, list):
         return [_mended(value) for value in tree]
     if not isinstance(tree, dict):
@@ -159,22 +163,8 @@ def _mended(tree: Any) -> Any:
 
 @functools.cache
 def _schema() -> Callable[[Any], dict[str, Any]]:
-    """Checks a tree against the schema of the specification, and adds its defaults."""
     # A schema is compiled to Python; the specification's own comes with trimesh.
     return fastjsonschema.compile(get_schema())
-
-
-def _buffer(document: Document, number: int, buffer: dict[str, Any], binary: bytes | None) -> bytes:
-    uri, user = buffer.get("uri"), f"buffers[{number}]"
-    if uri is not None:
-        content = document.resource(uri, user)
-    elif number == 0 and binary is not None:
-        content = binary
-    else:
-        raise document.refused(f"{user} is missing: it has no uri, and the file has no binary chunk for it")
-    if len(content) < buffer["byteLength"]:
-        raise document.refused(f"{user} has {len(content):,} bytes of {buffer['byteLength']:,}")
-    return content
 
 
 def read_array(document: Document, index: int, columns: int | tuple[int, ...], user: str) -> Array:
@@ -197,8 +187,14 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
     if "bufferView" in accessor:
         values = _viewed(document, accessor, kind, (count, found), name)
     if "sparse" in accessor:
-        values = values.copy()
-        _replace(document, accessor["sparse"], values, name)
+        # Elements in place of those that it is based on.
+        sparse, values = accessor["sparse"], values.copy()
+        changed, indices = int(sparse["count"]), sparse["indices"]
+        form = _TYPES.get(indices["componentType"], "<u4")
+        where = _viewed(document, indices, form, (changed, 1), name)[:, 0].astype(np.int64)
+        if where.min() < 0 or where.max() >= count:
+            raise document.refused(f"{name} replaces elements that it does not have")
+        values[where] = _viewed(document, sparse["values"], kind, (changed, found), name)
     numbers = values.astype(np.float64)
     if accessor.get("normalized") and values.dtype.kind != "f":
         # Integers as fractions of the largest one (3.6.2.2).
@@ -222,20 +218,9 @@ def read_view(document: Document, index: int, user: str) -> tuple[bytes, int | N
 def _viewed(
     document: Document, part: dict[str, Any], kind: str, shape: tuple[int, int], user: str
 ) -> NDArray[Any]:
-    """Numbers in a buffer view."""
     content, stride = read_view(document, part["bufferView"], user)
     size = np.dtype(kind).itemsize
     start, row = int(part.get("byteOffset", 0)), int(stride or size * shape[1])
     if start + (shape[0] - 1) * row + size * shape[1] > len(content):
         raise document.refused(f"{user} ends beyond its buffer view")
     return np.ndarray(shape, kind, content, start, (row, size))
-
-
-def _replace(document: Document, sparse: dict[str, Any], values: NDArray[Any], user: str) -> None:
-    """Writes the elements of a sparse accessor over those that it is based on."""
-    count, indices = int(sparse["count"]), sparse["indices"]
-    kind = _TYPES.get(indices["componentType"], "<u4")
-    where = _viewed(document, indices, kind, (count, 1), user)[:, 0].astype(np.int64)
-    if where.min() < 0 or where.max() >= len(values):
-        raise document.refused(f"{user} replaces elements that it does not have")
-    values[where] = _viewed(document, sparse["values"], values.dtype.str, (count, values.shape[1]), user)

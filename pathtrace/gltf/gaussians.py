@@ -21,61 +21,40 @@ _MOST_DEGREES = 3
 
 @dataclass(frozen=True)
 class StoredGaussians:
-    """N Gaussians of a node.
+    """N Gaussians of a node."""
 
-    Attributes:
-        to_world: (4, 4) of the node.
-        positions: (N, 3) of their centres, in the coordinates of the node.
-        rotations: (N, 4) quaternions (x, y, z, w), not all 0.
-        scales: (N, 3) standard deviations along the principal axes, 0 or more.
-        opacities: (N,) from 0 to 1.
-        sh: (N, K, 3) spherical harmonics of the colour minus 0.5, K = (degree + 1)^2.
-        is_linear: whether that colour is linear, rather than on the sRGB curve; it is what is blended.
-    """
-
-    to_world: Array
-    positions: Array
-    rotations: Array
-    scales: Array
-    opacities: Array
-    sh: Array
-    is_linear: bool
+    to_world: Array  # (4, 4) of the node
+    positions: Array  # (N, 3) of their centres, in the coordinates of the node
+    rotations: Array  # (N, 4) quaternions (x, y, z, w), not all 0
+    scales: Array  # (N, 3) standard deviations along the principal axes, 0 or more
+    opacities: Array  # (N,) from 0 to 1
+    sh: Array  # (N, K, 3) spherical harmonics of the colour minus 0.5, K = (degree + 1)^2
+    is_linear: bool  # whether that colour is linear, rather than on the sRGB curve; it is what is blended
 
 
 def read_gaussians(document: Document, remarks: list[str]) -> list[StoredGaussians]:
-    """The Gaussians that a document shows, as it stands at rest; none of one that shows triangles.
-
-    All have harmonics of the same degree. Lines for the user are added to the remarks. UserError if
-    Gaussians lack an attribute, or have one that is not as the extension says, or the file is damaged.
-    """
+    """The Gaussians that a document shows at rest, of one degree; none of one that shows triangles."""
     with undamaged(document.file):
-        found = _shown(document, remarks)
+        nodes = Nodes(document, Animation())
+        to_world = nodes.to_world(np.zeros(1))
+        shown = [
+            (node, f"meshes[{mesh}].primitives[{number}]", part)
+            for node in nodes.shown
+            if (mesh := document.section("nodes")[node].get("mesh")) is not None
+            for number, part in enumerate(document.item("meshes", mesh, f"nodes[{node}]")["primitives"])
+        ]
+        if any(part["mode"] in _TRIANGLES for _, _, part in shown):
+            return []
+        found = [
+            _stored(document, part, user, to_world[node][0], remarks)
+            for node, user, part in shown
+            if GAUSSIANS in part.get("extensions", {})
+        ]
     if found and document.section("animations"):
         remarks.append("Gaussians stand still; animations are left out")
     count = max((part.sh.shape[1] for part in found), default=0)
-    missing = [count - part.sh.shape[1] for part in found]
-    return [
-        replace(part, sh=np.pad(part.sh, ((0, 0), (0, more), (0, 0))))
-        for part, more in zip(found, missing, strict=True)
-    ]
-
-
-def _shown(document: Document, remarks: list[str]) -> list[StoredGaussians]:
-    nodes = Nodes(document, Animation())
-    to_world = nodes.to_world(np.zeros(1))
-    shown = [
-        (node, f"meshes[{mesh}].primitives[{number}]", part)
-        for node in nodes.shown
-        if (mesh := document.section("nodes")[node].get("mesh")) is not None
-        for number, part in enumerate(document.item("meshes", mesh, f"nodes[{node}]")["primitives"])
-    ]
-    if any(part["mode"] in _TRIANGLES for _, _, part in shown):
-        return []
-    return [
-        _stored(document, part, user, to_world[node][0], remarks)
-        for node, user, part in shown
-        if GAUSSIANS in part.get("extensions", {})
-    ]
+    pads = [((0, 0), (0, count - part.sh.shape[1]), (0, 0)) for part in found]
+    return [replace(part, sh=np.pad(part.sh, pad)) for part, pad in zip(found, pads, strict=True)]
 
 
 def _stored(

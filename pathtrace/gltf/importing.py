@@ -17,7 +17,7 @@ from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
 from pathtrace.gltf.document import EXTENSIONS, Document, undamaged
 from pathtrace.gltf.lights import Light, brightness, camera, read_lights
-from pathtrace.gltf.materials import Materials, Textures, plugin, value
+from pathtrace.gltf.materials import Materials, plugin, value
 from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
 from pathtrace.gltf.movement import (
     Movement,
@@ -38,11 +38,7 @@ _DEPTH = 8
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written: the XML file, and of how much, with remarks about what is not as in the file.
-
-    Triangles are those at one time; shapes and lights move rigidly, other shapes deform; the animation takes
-    some seconds, 0 if nothing moves.
-    """
+    """What was written: of how many triangles at one time, and how many parts move rigidly or deform."""
 
     scene: Path
     triangles: int
@@ -57,24 +53,22 @@ def import_gltf(
 ) -> Imported:
     """Imports a glTF document; the folder, which must be missing or empty, appears whole or not at all.
 
-    Meshes that deform are written in `fps` steps of time a second. The animation, by name or number, is the
-    one to play; without it, all play that move different things, else the first one. UserError if the file is
-    damaged, or needs what is not known here; or the folder cannot be written.
+    Meshes that deform are written in `fps` steps of time a second. Without the name or number of an
+    animation, all play that move different things, else the first one. UserError if the file is damaged, or
+    needs what is not known here; or the folder cannot be written.
     """
     with whole_folder(folder, _SCENE) as part, undamaged(document.file):
         return _Import(document, part, fps, animation).run(folder / _SCENE)
 
 
 class _Import:
-    """One import, into a folder that is there."""
-
     def __init__(self, document: Document, folder: Path, fps: float, animation: str | None):
         self._document, self._folder = document, folder
         self._remarks: list[str] = []
         self._nodes = Nodes(document, chosen_animation(document, animation, self._remarks))
         self._times = Times(self._nodes, fps)
         self._to_world = self._nodes.to_world(self._times.dense)
-        self._materials = Materials(document, Textures(document, folder), self._remarks)
+        self._materials = Materials(document, folder, self._remarks)
         self._names = {"camera", "surroundings"}
         self._tracks: dict[str, Any] = {}
 
@@ -111,7 +105,6 @@ class _Import:
         self._write(_SCENE, ET.tostring(root, encoding="unicode") + "\n")
 
     def _shape(self, primitive: Primitive, movement: Movement) -> ET.Element:
-        """A shape, its mesh files and its track."""
         name = self._name(primitive.name)
         user = f"the material of {primitive.name}"
         pbr = self._materials.item(primitive.material, user).get("pbrMetallicRoughness", {})
@@ -161,7 +154,6 @@ class _Import:
         return [self._light(light, scale, bounds) for light in lights]
 
     def _light(self, light: Light, scale: float, bounds: Array) -> ET.Element:
-        """An emitter, and its track."""
         item = self._document.section("nodes")[light.node]
         name = self._name(str(item.get("name") or light.kind))
         poses = without_scale(self._to_world[light.node])

@@ -27,16 +27,12 @@ _FOV = 45.0
 
 @dataclass(frozen=True)
 class Light:
-    """A light without a shape, point, spot or directional, which shines along the negative z of its node.
-
-    Its colour (3,) is times intensity: candela, or lux of a directional light. The cone of a spot is its
-    inner and outer angle, in degrees from its axis.
-    """
+    """A light, point, spot or directional, which shines along the negative z of its node."""
 
     node: int
     kind: str
-    colour: Array
-    cone: tuple[float, float]
+    colour: Array  # (3,) times intensity: candela, or lux of a directional light
+    cone: tuple[float, float]  # of a spot: inner and outer angle in degrees from its axis
 
     def element(self, name: str, pose: Array, scale: float) -> ET.Element:
         """The emitter, where its node is (4, 4), and so many times as bright."""
@@ -73,32 +69,25 @@ def read_lights(document: Document, nodes: Nodes) -> list[Light]:
         number = reference.get("light")
         if not isinstance(number, int) or not 0 <= number < len(items):
             raise document.refused(f"nodes[{node}] has the light {number}; there are {len(items)}")
-        found.append(_light(document, node, items[number], f"lights[{number}]"))
+        item, user = items[number], f"lights[{number}]"
+        kind, spot = item.get("type"), item.get("spot") or {}
+        if kind not in ("point", "spot", "directional"):
+            raise document.refused(f"{user} is of the type {kind}; must be point, spot or directional")
+        colour = np.array(item.get("color", [1, 1, 1]), dtype=np.float64)
+        intensity = float(item.get("intensity", 1.0))
+        inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
+        is_cone = kind != "spot" or (inner >= 0 and 0 < outer <= _WIDEST)
+        if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not is_cone:
+            raise document.refused(f"{user} has a colour, intensity or cone that no light has")
+        # In float32, a quarter turn is a little more; and Mitsuba's light must have an edge.
+        outer = min(outer, np.pi / 2)
+        cone = float(np.degrees(min(inner, _SHARPEST * outer))), float(np.degrees(outer))
+        found.append(Light(node, kind, colour * intensity, cone))
     return found
 
 
-def _light(document: Document, node: int, item: dict[str, Any], user: str) -> Light:
-    kind, spot = item.get("type"), item.get("spot") or {}
-    if kind not in ("point", "spot", "directional"):
-        raise document.refused(f"{user} is of the type {kind}; must be point, spot or directional")
-    colour = np.array(item.get("color", [1, 1, 1]), dtype=np.float64)
-    intensity = float(item.get("intensity", 1.0))
-    inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
-    is_cone = kind != "spot" or (inner >= 0 and 0 < outer <= _WIDEST)
-    if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not is_cone:
-        raise document.refused(f"{user} has a colour, intensity or cone that no light has")
-    # In float32, a quarter turn is a little more; and Mitsuba's light must have an edge.
-    outer = min(outer, np.pi / 2)
-    inner = min(inner, _SHARPEST * outer)
-    return Light(node, kind, colour * intensity, (float(np.degrees(inner)), float(np.degrees(outer))))
-
-
 def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> float:
-    """Factor on all lights, so that their light can be shown.
-
-    Units are photometric, and files differ in what they take for white: where lights give far more than
-    white in the middle of the scene, they are dimmed together. Arguments are as in `camera`.
-    """
+    """Factor on all lights, so that those far brighter than white in the middle of the scene can be shown."""
     given = sum(light.irradiance(to_world_of[light.node][0], bounds) for light in lights)
     return _WHITE / given if given > _TOO_BRIGHT * _WHITE else 1.0
 
@@ -106,10 +95,9 @@ def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> 
 def camera(
     document: Document, nodes: Nodes, to_world_of: list[Array], bounds: Array, remarks: list[str]
 ) -> ET.Element:
-    """The first perspective camera of a file, else one that sees everything from the front.
+    """The first perspective camera of a file, else one that sees everything from the front; adds remarks.
 
-    Given are (T, 4, 4) to_world of each node, the first at time 0, and the (2, 3) lowest and highest corner
-    of what is seen at any time. Lines for the user are added to the remarks.
+    Given are (T, 4, 4) to_world of each node, the first at time 0, and (2, 3) corners of what is seen.
     """
     for node in nodes.shown:
         item = document.section("nodes")[node]
@@ -135,17 +123,10 @@ def _sensor(pose: Array, lens: dict[str, Any], bounds: Array) -> ET.Element:
     width = round(_HEIGHT * np.clip(lens.get("aspectRatio", 4 / 3), 1 / _MOST_ASPECT, _MOST_ASPECT))
     size = value("integer", "width", str(width)), value("integer", "height", str(_HEIGHT))
     film = plugin("film", "hdrfilm", *size, plugin("rfilter", "box"))
-    return plugin(
-        "sensor",
-        "perspective",
-        value("string", "fov_axis", "y"),
-        value("float", "fov", float(np.degrees(lens["yfov"]))),
-        value("float", "near_clip", near),
-        value("float", "far_clip", far),
-        to_world(_mitsuba_pose(pose)),
-        film,
-        id="camera",
-    )
+    fov = value("string", "fov_axis", "y"), value("float", "fov", float(np.degrees(lens["yfov"])))
+    clips = value("float", "near_clip", near), value("float", "far_clip", far)
+    parts = *fov, *clips, to_world(_mitsuba_pose(pose)), film
+    return plugin("sensor", "perspective", *parts, id="camera")
 
 
 def _mitsuba_pose(pose: Array) -> Array:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -53,70 +53,16 @@ def numbers(values: float | Iterable[float]) -> str:
     return ", ".join(f"{float(v):.9g}" for v in (values if isinstance(values, Iterable) else (values,)))
 
 
-class Textures:
-    """The images of a file, as textures in the folder of a scene."""
-
-    def __init__(self, document: Document, folder: Path):
-        self._document, self._folder = document, folder
-        self._written = 0
-
-    def pixels(self, info: dict[str, Any], user: str) -> Array:
-        """(H, W, 4) red, green, blue, alpha of a texture, 0 to 1, as in its file; UserError if unreadable."""
-        texture = self._document.item("textures", info["index"], user)
-        if "source" not in texture:
-            raise self._document.refused(f"{user}: textures[{info['index']}] has no image that is known here")
-        image = self._document.item("images", texture["source"], user)
-        name = f"images[{texture['source']}]"
-        if "uri" in image:
-            content = self._document.resource(image["uri"], name)
-        else:
-            content = read_view(self._document, image["bufferView"], name)[0]
-        try:
-            with PillowImage.open(io.BytesIO(content)) as opened:
-                return np.asarray(opened.convert("RGBA"), dtype=np.float64) / 255
-        except (OSError, ValueError, PillowImage.DecompressionBombError) as error:
-            raise self._document.refused(f"{name} cannot be read as an image ({error})") from error
-
-    def colour(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
-        """A texture of colours in an sRGB file, from linear ones (H, W, 3), 0 to 1."""
-        return self._png(name, info, bytes_from_radiance(radiance.astype(np.float32)), raw=False)
-
-    def amount(self, name: str, info: dict[str, Any], amounts: Array) -> ET.Element:
-        """A texture of numbers (H, W), 0 to 1."""
-        return self._png(name, info, np.round(np.clip(amounts, 0, 1) * 255).astype(np.uint8), raw=True)
-
-    def radiance(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
-        """A texture of linear radiance (H, W, 3), without a bound."""
-        channels = {channel: radiance[..., i].astype(np.float32) for i, channel in enumerate("RGB")}
-        file = self._new_file("exr")
-        write_channels(self._folder / file, channels)
-        return self._element(name, info, file, raw=True)
-
-    def _png(self, name: str, info: dict[str, Any], pixels: NDArray[np.uint8], raw: bool) -> ET.Element:
-        file, image = self._new_file("png"), PillowImage.fromarray(pixels)
-        write_whole(self._folder / file, lambda part: image.save(part, format="PNG"))
-        return self._element(name, info, file, raw)
-
-    def _new_file(self, extension: str) -> str:
-        self._written += 1
-        return f"{_FOLDER}/{self._written}.{extension}"
-
-    def _element(self, name: str, info: dict[str, Any], file: str, raw: bool) -> ET.Element:
-        number = self._document.section("textures")[int(info["index"])].get("sampler")
-        sampler = {} if number is None else self._document.item("samplers", number, "texture")
-        wrap = value("string", "wrap_mode", _WRAP.get(sampler.get("wrapS", 10497), "repeat"))
-        is_raw = value("boolean", "raw", str(raw).lower())
-        return plugin("texture", "bitmap", value("string", "filename", file), is_raw, wrap, name=name)
-
-
 class Materials:
-    """The materials of a file, as Mitsuba's elements; lines for the user are added to the remarks.
+    """The materials of a file, as Mitsuba's elements, and its images as textures in the folder of a scene.
 
     `bsdfs` has all that shapes refer to, by the number of their material and whether vertices have colours.
+    Lines for the user are added to the remarks.
     """
 
-    def __init__(self, document: Document, textures: Textures, remarks: list[str]):
-        self._document, self._textures, self._remarks = document, textures, remarks
+    def __init__(self, document: Document, folder: Path, remarks: list[str]):
+        self._document, self._folder, self._remarks = document, folder, remarks
+        self._written = 0
         self.bsdfs: dict[tuple[int | None, bool], ET.Element] = {}
 
     def reference(self, material: int | None, coloured: bool, user: str) -> ET.Element:
@@ -136,8 +82,7 @@ class Materials:
         """The set of texture coordinates that its textures have."""
         item = self.item(material, user)
         pbr = item.get("pbrMetallicRoughness", {})
-        infos = [pbr.get("baseColorTexture"), pbr.get("metallicRoughnessTexture")]
-        infos.append(item.get("emissiveTexture"))
+        infos = pbr.get("baseColorTexture"), pbr.get("metallicRoughnessTexture"), item.get("emissiveTexture")
         sets = [int(info["texCoord"]) for info in infos if info is not None]
         if len(set(sets)) > 1:
             self._remark(f"{user}: textures share the coordinates of the first one")
@@ -153,20 +98,20 @@ class Materials:
         if "emissiveTexture" not in item:
             return plugin("emitter", "area", value("rgb", "radiance", factor))
         info = item["emissiveTexture"]
-        radiance = radiance_from_srgb(self._textures.pixels(info, user)[..., :3]) * factor
+        radiance = radiance_from_srgb(self._pixels(info, user)[..., :3]) * factor
         if not radiance.any():
             return None
-        return plugin("emitter", "area", self._textures.radiance("radiance", info, radiance))
+        return plugin("emitter", "area", self._radiance("radiance", info, radiance))
 
     def _bsdf(self, item: dict[str, Any], name: str, coloured: bool) -> ET.Element:
         pbr = item.get("pbrMetallicRoughness", {})
         base = np.array(pbr.get("baseColorFactor", [1, 1, 1, 1]), dtype=np.float64)
         info, alpha = pbr.get("baseColorTexture"), base[3]
         if info is not None:
-            pixels = self._textures.pixels(info, name)
+            pixels = self._pixels(info, name)
             alpha = pixels[..., 3] * base[3]
             radiance = radiance_from_srgb(pixels[..., :3]) * base[:3]
-            colour = self._textures.colour("base_color", info, radiance)
+            colour = self._colour("base_color", info, radiance)
         elif coloured:
             attribute = value("string", "name", "vertex_color")
             colour = plugin("texture", "mesh_attribute", attribute, name="base_color")
@@ -186,9 +131,9 @@ class Materials:
         info = pbr.get("metallicRoughnessTexture")
         if info is None:
             return [value("float", key, factor) for key, factor in factors.items()]
-        pixels = self._textures.pixels(info, name)
+        pixels = self._pixels(info, name)
         return [
-            self._textures.amount(key, info, pixels[..., channel] * factors[key])
+            self._amount(key, info, pixels[..., channel] * factors[key])
             for channel, key in ((1, "roughness"), (2, "metallic"))
         ]
 
@@ -204,8 +149,54 @@ class Materials:
             return inner
         if info is None:
             return plugin("bsdf", "mask", value("float", "opacity", float(amounts)), inner)
-        return plugin("bsdf", "mask", self._textures.amount("opacity", info, amounts), inner)
+        return plugin("bsdf", "mask", self._amount("opacity", info, amounts), inner)
 
     def _remark(self, line: str) -> None:
         if line not in self._remarks:
             self._remarks.append(line)
+
+    def _pixels(self, info: dict[str, Any], user: str) -> Array:
+        """(H, W, 4) red, green, blue, alpha of a texture, 0 to 1, as in its file; UserError if unreadable."""
+        texture = self._document.item("textures", info["index"], user)
+        if "source" not in texture:
+            raise self._document.refused(f"{user}: textures[{info['index']}] has no image that is known here")
+        image = self._document.item("images", texture["source"], user)
+        name = f"images[{texture['source']}]"
+        if "uri" in image:
+            content = self._document.resource(image["uri"], name)
+        else:
+            content = read_view(self._document, image["bufferView"], name)[0]
+        try:
+            with PillowImage.open(io.BytesIO(content)) as opened:
+                return np.asarray(opened.convert("RGBA"), dtype=np.float64) / 255
+        except (OSError, ValueError, PillowImage.DecompressionBombError) as error:
+            raise self._document.refused(f"{name} cannot be read as an image ({error})") from error
+
+    def _colour(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
+        """A texture of colours in an sRGB file, from linear ones (H, W, 3), 0 to 1."""
+        return self._png(name, info, bytes_from_radiance(radiance.astype(np.float32)), raw=False)
+
+    def _amount(self, name: str, info: dict[str, Any], amounts: Array) -> ET.Element:
+        """A texture of numbers (H, W), 0 to 1."""
+        return self._png(name, info, np.round(np.clip(amounts, 0, 1) * 255).astype(np.uint8), raw=True)
+
+    def _radiance(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
+        """A texture of linear radiance (H, W, 3), without a bound."""
+        channels = {channel: radiance[..., i].astype(np.float32) for i, channel in enumerate("RGB")}
+        return self._element(name, info, "exr", lambda file: write_channels(file, channels), raw=True)
+
+    def _png(self, name: str, info: dict[str, Any], pixels: NDArray[np.uint8], raw: bool) -> ET.Element:
+        save = lambda part: PillowImage.fromarray(pixels).save(part, format="PNG")  # noqa: E731
+        return self._element(name, info, "png", lambda file: write_whole(file, save), raw)
+
+    def _element(
+        self, name: str, info: dict[str, Any], kind: str, write: Callable[[Path], None], raw: bool
+    ) -> ET.Element:
+        self._written += 1
+        file = f"{_FOLDER}/{self._written}.{kind}"
+        write(self._folder / file)
+        number = self._document.section("textures")[int(info["index"])].get("sampler")
+        sampler = {} if number is None else self._document.item("samplers", number, "texture")
+        wrap = value("string", "wrap_mode", _WRAP.get(sampler.get("wrapS", 10497), "repeat"))
+        is_raw = value("boolean", "raw", str(raw).lower())
+        return plugin("texture", "bitmap", value("string", "filename", file), is_raw, wrap, name=name)

@@ -5,10 +5,10 @@ Specification, 3.7.2 (meshes, morph targets) and 3.7.3 (skins).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -20,22 +20,20 @@ from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.document import Document, NotFiniteError, read_array
 
 Faces = NDArray[np.int64]
+# Reads an attribute of an owner with a number of columns, a row for each vertex.
+_Reader: TypeAlias = Callable[[dict[str, Any], str, int], Array]
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 @dataclass(frozen=True)
 class Skin:
-    """How vertices follow joints (3.7.3), J nodes by their numbers.
-
-    Inverse bind matrices (J, 4, 4) lead from the mesh at rest to each joint. Each vertex follows K joints,
-    (V, K) indices of these, with shares whose sum is 1.
-    """
+    """How vertices follow joints (3.7.3), J nodes by their numbers."""
 
     joints: list[int]
-    to_joints: Array
-    which: NDArray[np.int64]
-    shares: Array
+    to_joints: Array  # (J, 4, 4) inverse bind matrices, from the mesh at rest to each joint
+    which: NDArray[np.int64]  # (V, K) indices of the joints that each vertex follows
+    shares: Array  # (V, K) of these, whose sum is 1
 
     def vertices(self, positions: Array, to_world: list[Array], time: int) -> Array:
         """(V, 3) in the world, of vertices (V, 3) at rest, at one of the times of `to_world`."""
@@ -46,33 +44,19 @@ class Skin:
 
 @dataclass(frozen=True)
 class Primitive:
-    """A part of the mesh of a node, of one material.
+    """A part of the mesh of a node, of one material."""
 
-    Attributes:
-        name: of the node or its mesh, for people.
-        node: its number.
-        material: number of the material; None of one without.
-        faces: (F, 3) indices of vertices.
-        positions: (V, 3) of vertices, before they are morphed, in the coordinates of the mesh.
-        normals: (V, 3), or None: faces are flat.
-        uvs: (V, 2) by the number of their set.
-        colours: (V, 3) linear factors on the base colour, or None.
-        targets: (M, V, 3) displacements of the morph targets.
-        default_weights: (M,) of them, as the mesh has them.
-        skin: None of a mesh that follows its node alone.
-    """
-
-    name: str
-    node: int
-    material: int | None
-    faces: Faces
-    positions: Array
-    normals: Array | None
-    uvs: dict[int, Array]
-    colours: Array | None
-    targets: Array
-    default_weights: Array
-    skin: Skin | None
+    name: str  # of the node or its mesh, for people
+    node: int  # its number
+    material: int | None  # number of the material; None of one without
+    faces: Faces  # (F, 3) indices of vertices
+    positions: Array  # (V, 3) of vertices, before they are morphed, in the coordinates of the mesh
+    normals: Array | None  # (V, 3), or None: faces are flat
+    uvs: dict[int, Array]  # (V, 2) by the number of their set
+    colours: Array | None  # (V, 3) linear factors on the base colour, or None
+    targets: Array  # (M, V, 3) displacements of the morph targets
+    default_weights: Array  # (M,) of them, as the mesh has them
+    skin: Skin | None  # None of a mesh that follows its node alone
 
     def vertices(self, nodes: Nodes, times: Array) -> Iterator[Array]:
         """(V, 3) in the world at each of the times (T,) in seconds."""
@@ -90,7 +74,6 @@ class Primitive:
 
 
 def _row(values: Array, time: int) -> int:
-    """Index of a time among values of all times, or of one for all of them."""
     return min(time, len(values) - 1)
 
 
@@ -183,7 +166,12 @@ def _has_area(faces: Faces, positions: Array, *targets: Array) -> bool:
     return False
 
 
-def _skin(document: Document, node: int, attributes: dict[str, Any], of_vertices: Any) -> Skin | None:
+def _skin(
+    document: Document,
+    node: int,
+    attributes: dict[str, Any],
+    of_vertices: _Reader,
+) -> Skin | None:
     item = document.section("nodes")[node]
     if "skin" not in item or "JOINTS_0" not in attributes:
         return None
@@ -220,19 +208,21 @@ def write_mesh(
 ) -> None:
     """Writes a mesh to a .ply file; the order of its vertices is kept.
 
-    Faces (F, 3) are indices of vertices, at positions (V, 3). If there are any, normals (V, 3) are unit
-    vectors; uvs (V, 2) have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear,
-    Mitsuba's `vertex_color`.
+    Faces (F, 3) are indices of vertices, at positions (V, 3); normals (V, 3) are unit vectors; uvs (V, 2)
+    have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear, Mitsuba's `vertex_color`.
     """
-    has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
-    mesh = mi.Mesh(file.stem, len(positions), len(faces), **has)
+    has_normals, has_uvs = normals is not None, uvs is not None
+    mesh = mi.Mesh(
+        file.stem, len(positions), len(faces), has_vertex_normals=has_normals, has_vertex_texcoords=has_uvs
+    )
     parameters = mi.traverse(mesh)
     parameters["faces"] = faces.astype(np.uint32).ravel()
-    values = {"vertex_positions": positions, "vertex_normals": normals, "vertex_texcoords": uvs}
-    for name, content in values.items():
+    given = {"vertex_positions": positions, "vertex_normals": normals, "vertex_texcoords": uvs}
+    for name, content in given.items():
         if content is not None:
             parameters[name] = content.astype(np.float32).ravel()
     parameters.update()
     if colours is not None:
-        mesh.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
+        values = colours.astype(np.float32).ravel()
+        mesh.add_attribute("vertex_color", 3, values)  # type: ignore[arg-type]  # arrays as well
     write_whole(file, lambda part: mesh.write_ply(str(part)))

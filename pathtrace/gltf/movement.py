@@ -14,7 +14,7 @@ from compose.camera.camera import Array
 from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.meshes import Primitive
 from pathtrace.scene.courses import nearest_rotations
-from pathtrace.scene.tracks import Keyframe, RigidTrack
+from pathtrace.scene.motion_file import Keyframe, RigidTrack
 
 # How far a matrix may be from a rotation: that of float32 along a chain of some nodes.
 _RIGID = 1e-4
@@ -30,6 +30,8 @@ _MOST_VERTICES = 100_000_000
 _MOST_POSES = 5_000_000
 # Squares of what is farther from the origin overflow float32.
 _LARGEST = 1e18
+# Of the whole time, between what is before a step and what is after it.
+_STEP = 1e-6
 # Determinant of what has no volume.
 _FLAT = 1e-12
 
@@ -51,10 +53,9 @@ def without_scale(poses: Array) -> Array:
 def keyframes_of(times: Array, poses: Array, about: Array, corners: Array) -> list[Keyframe]:
     """The fewest keyframes, found greedily, that bring a shape where poses bring it.
 
-    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe as well (Ramer
-    1972, Douglas and Peucker 1973). The poses (T, 4, 4) are rigid transforms from rest at times (T,) from 0
-    to 1, ascending; the shape turns about a point (3,), and its corners (N, 3) at rest are those whose ways
-    are compared.
+    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe (Ramer 1972,
+    Douglas and Peucker 1973). Poses (T, 4, 4) are rigid transforms from rest at ascending times (T,) from 0
+    to 1; the shape turns about a point (3,), and the ways of its corners (N, 3) at rest are compared.
     """
     keys = [_keyframe(time, pose, about) for time, pose in zip(times, poses, strict=True)]
     wanted = _moved(poses, corners)
@@ -97,28 +98,19 @@ def as_json(keyframes: list[Keyframe], about: Array) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Movement:
-    """Where a primitive is over time.
+    """Where a primitive is over time."""
 
-    Attributes:
-        rest: (V, 3) its vertices in the world at time 0.
-        bounds: (2, 3) lowest and highest corner at any time.
-        about: (3,) the point that it turns around.
-        keyframes: of its rigid motion; empty if there is none.
-        meshes: (T, V, 3) at equal steps of time, of what deforms; else T is 0.
-    """
-
-    rest: Array
-    bounds: Array
-    about: Array
-    keyframes: list[Keyframe]
-    meshes: Array
+    rest: Array  # (V, 3) its vertices in the world at time 0
+    bounds: Array  # (2, 3) lowest and highest corner at any time
+    about: Array  # (3,) the point that it turns around
+    keyframes: list[Keyframe]  # of its rigid motion; empty if there is none
+    meshes: Array  # (T, V, 3) at equal steps of time, of what deforms; else T is 0
 
 
 class Times:
-    """When nodes are looked at while their animation plays, in seconds; UserError if that is too often.
+    """When nodes are looked at, in seconds: at even (E,) and, with keyframes and steps, dense (T,) times.
 
-    There are (T,) dense times and (E,) even ones. The dense ones are the equal steps of the even ones, all
-    keyframes and moments before steps; their shares (T,) are from 0 to 1.
+    Shares (T,) of the dense ones are from 0 to 1. UserError if they are too many.
     """
 
     def __init__(self, nodes: Nodes, fps: float):
@@ -127,7 +119,17 @@ class Times:
             raise UserError(
                 f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long"
             )
-        self.dense, self.even = nodes.animation.all_times(fps), nodes.animation.even_times(fps)
+        # At least so many a second.
+        self.even = np.linspace(0, seconds, max(int(np.ceil(seconds * fps - 1e-6)), 1) + 1)
+        found = [self.even]
+        for sampler in nodes.animation.channels.values():
+            found.append(sampler.times)
+            if sampler.interpolation == "STEP":
+                found.append(sampler.times[1:] - _STEP * seconds)
+        times = np.unique(np.concatenate(found))
+        times = times[times >= 0]
+        # Those that are closer are the same but for rounding, and keyframes must ascend.
+        self.dense = times[np.diff(times, prepend=-np.inf) > 0.1 * _STEP * seconds]
         self.shares = self.dense / max(float(self.dense[-1]), 1e-30)
 
 

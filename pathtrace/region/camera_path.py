@@ -23,8 +23,7 @@ from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
 from compose.camera.camera import Array, Camera, look_at, turned
 from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
-from pathtrace.region.looks import Looks, looks_of, upright
-from pathtrace.region.view_selection import DrawnRegion
+from pathtrace.region.view_selection import DrawnRegion, Looks, looks_of, upright
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 
@@ -45,10 +44,10 @@ _BALL_TRIES = 8
 
 
 def read_path(file: Path, up: Array) -> tuple[list[Array], float | None]:
-    """The path in a file: poses (4, 4) camera-to-world, OpenCV axes, and the radius of the space around it.
+    """Poses (4, 4) of the path in a file, camera-to-world, OpenCV axes, and the radius that it has, if any.
 
-    They are in the coordinates of the scene's file, in which `up` (3,) is up unless a pose says otherwise.
-    Without a radius, the region chooses one. UserError if the file holds no path.
+    All are in the coordinates of the scene's file, in which `up` (3,) is up unless a pose says otherwise.
+    UserError if the file holds no path.
     """
     with reading(file):
         document = read_json(file, _MOST_BYTES)
@@ -74,7 +73,7 @@ def read_path(file: Path, up: Array) -> tuple[list[Array], float | None]:
     return poses, radius
 
 
-def _pose(frame: Any, up: Array) -> Array:
+def _pose(frame: object, up: Array) -> Array:
     """(4, 4) camera-to-world of a frame, OpenCV axes."""
     if not isinstance(frame, dict):
         raise ValueError("not an object")
@@ -85,7 +84,6 @@ def _pose(frame: Any, up: Array) -> Array:
 
 
 def _point(frame: dict[str, Any], name: str) -> Array:
-    """(3,) numbers of a frame."""
     value = np.asarray(frame[name], dtype=np.float64)
     if value.shape != (3,) or not np.isfinite(value).all():
         raise ValueError(f"{name} is not three numbers")
@@ -93,11 +91,10 @@ def _point(frame: dict[str, Any], name: str) -> Array:
 
 
 class PathRegion(DrawnRegion):
-    """The space around the camera's path in a file.
+    """The space around the camera's path in a file, whose name it has.
 
-    Without a radius of what belongs to the region around its poses, that is an eighth of the distance to what
-    the cameras see. The name is that of the file. UserError as for `read_path`, or if a pose lies on a
-    surface, or a surface lies between it and the pose before; or the path sees no surface.
+    Its radius is an eighth of the distance to what the cameras see, if the file has none. UserError as for
+    `read_path`, if a pose lies on a surface, or a surface between two poses, or the path sees no surface.
     """
 
     _views = "along the path"
@@ -110,9 +107,10 @@ class PathRegion(DrawnRegion):
         place = scene.place
         self._looks = looks_of([place.camera(scene.camera.at(pose)) for pose in self._poses])
         distance = self._looks.probe(surfaces, scene.camera, 12)
-        if not np.isfinite(distance).any():
+        seen = distance[np.isfinite(distance)]
+        if not len(seen):
             raise UserError(f"{file}: no frame of the path sees a surface")
-        self._scale = float(np.median(distance[np.isfinite(distance)]))
+        self._scale = float(np.median(seen))
         self._patch, self._near = _PATCH * self._scale, _NEAR * self._scale
         self.radius = _RADIUS * self._scale if radius is None else radius / place.unit
         self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)
@@ -189,6 +187,5 @@ class PathRegion(DrawnRegion):
         return nearest
 
     def _is_free(self, places: Array, points: Array) -> NDArray[np.bool_]:
-        """Whether points (N, 3) are seen from places (N, 3) and not on a surface."""
         clearance = self._surfaces.clearances(points)
         return self._surfaces.are_joined(places, points) & (clearance >= self._least)

@@ -47,14 +47,7 @@ BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x,
 
 
 class Neighbourhood:
-    """The space around a scene's own camera, at the scale of what it sees; UserError if that is nothing.
-
-    Attributes:
-        scene_name, surfaces: of the scene.
-        home: the scene's own camera at the size of the frames.
-        scale: median distance to what it sees.
-        share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
-    """
+    """The space around a scene's own camera, at the scale of what it sees; UserError if that is nothing."""
 
     def __init__(self, scene: Scene, surfaces: Surfaces, width: int, height: int):
         self.scene_name, self.surfaces = scene.name, surfaces
@@ -62,6 +55,7 @@ class Neighbourhood:
         self.scale = surfaces.median_distance(self.home)
         if not np.isfinite(self.scale):
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
+        # Of the reach and the turns that views have in a field of view of ordinary width.
         tangent = min(width / self.home.fx, height / self.home.fy) / 2
         self.share = min(1.0, tangent / _NARROW)
 
@@ -107,9 +101,8 @@ class Neighbourhood:
 
         sequence = qmc.Halton(5, seed=seed)
         points = (sequence.random(1)[0] for _ in range(count * _TRIES_PER_VIEW))
-        views = (
-            _moved(self.home, _in_ball(u[:3]) * self.radius, *((2 * u[3:] - 1) * self.share)) for u in points
-        )
+        turns = lambda u: (2 * u[3:] - 1) * self.share  # noqa: E731
+        views = (_moved(self.home, _in_ball(u[:3]) * self.radius, *turns(u)) for u in points)
         found = list(islice(filter(self._is_usable, views), count))
         if len(found) < count:
             raise UserError(
@@ -119,25 +112,20 @@ class Neighbourhood:
         return found
 
     def path(self, shares: Sequence[float]) -> list[Camera]:
-        """Views along a closed path around the scene's own camera, at shares 0 to 1 of it.
-
-        It sways as far as there is free space: a scene that leaves none has a camera that stands still.
-        """
+        """Views along a closed path around the scene's own camera, at shares 0 to 1 of it."""
+        axes = self.home.camera_to_world[:3, :3]
         for size in _SWAYS:
-            found = [self._swayed(2 * np.pi * share, size) for share in shares]
-            if all(self._is_usable(view) for view in found):
+            found = []
+            for turn in 2 * np.pi * np.asarray(shares):
+                across, down, ahead = np.sin(turn), np.sin(2 * turn) / 2, np.cos(turn) / 4
+                offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
+                # It looks back to what it sees.
+                found.append(_moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0))
+            if all(map(self._is_usable, found)):
                 return found
         return [self.home for _ in shares]
 
-    def _swayed(self, turn: float, size: float) -> Camera:
-        """The scene's own camera at an angle of the path, on which it looks back to what it sees."""
-        axes = self.home.camera_to_world[:3, :3]
-        across, down, ahead = np.sin(turn), np.sin(2 * turn) / 2, np.cos(turn) / 4
-        offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
-        return _moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0)
-
     def _is_usable(self, candidate: Camera) -> bool:
-        """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
         return (
             self.surfaces.sees(self.home.position, candidate.position)
             and self.surfaces.clearance(candidate.position) >= _CLEARANCE * self.scale
@@ -196,33 +184,24 @@ def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) ->
 
 @dataclass(frozen=True)
 class ViewSet:
-    """Chosen cameras, and the times from 0 to 1 that all of them show, the fixed ones first.
+    """Chosen cameras, and the times from 0 to 1 that all of them show, the fixed ones first."""
 
-    Fixed are the scene's own camera, then the same turned to the border of what the others see. The others
-    are spread evenly over positions and directions, or along a path; any of them may be held out of training.
-    """
-
-    fixed: list[Camera]
-    spread: list[Camera]
+    fixed: list[Camera]  # the scene's own, then the same turned to the border of what the others see
+    spread: list[Camera]  # over positions and directions, or along a path; any may be held out of training
     times: list[float]
 
 
 def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
-    """Views around the scene's own camera to measure on, which differ from those of any training.
-
-    Of a scene that moves, they show times half a step from those of training views. Args and raises as in
-    `choose_views`.
-    """
+    """Views to measure on, between those of any training, in time as well."""
     neighbourhood = Neighbourhood(scene, scene.surfaces(), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
     return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
-    """Views around the scene's own camera, `count` in all; with 16 or fewer, only that camera is fixed.
+    """Views around the scene's own camera, `count` in all; UserError without free space for them.
 
-    Frames have a width and height in pixels; same seed, same views. UserError if the scene's own camera sees
-    no surface, or there is no free space for that many views.
+    With 16 or fewer, only that camera is fixed. Same seed, same views.
     """
     neighbourhood = Neighbourhood(scene, surfaces, width, height)
     fixed = [neighbourhood.home]
@@ -233,10 +212,7 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
 
 
 def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int) -> ViewSet:
-    """Views of one camera that sways around the scene's own, one instant after the other, as in a video.
-
-    Args and raises as in `choose_views`.
-    """
+    """As `choose_views`, of one camera that sways around the scene's own, one instant after the other."""
     shares = np.linspace(0, 1, count)
     cameras = Neighbourhood(scene, surfaces, width, height).path(shares.tolist())
     return ViewSet([], cameras, [0.0 if scene.moving is None else float(share) for share in shares])
@@ -245,7 +221,6 @@ def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, he
 def view_time(scene: Scene, number: float) -> float:
     """The time from 0 to 1 that a view shows, by its number; 0 if nothing moves.
 
-    Those of numbers 0, 1, 2 ..., which views to train on have, are evenly spread over all times; validation
-    views have numbers between, 0.5, 1.5 and so on.
+    Views to train on have numbers 0, 1, 2 ..., of evenly spread times; validation views 0.5, 1.5 and so on.
     """
     return 0.0 if scene.moving is None else (0.5 + number * _GOLDEN) % 1

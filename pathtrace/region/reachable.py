@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera, sphere_directions, unit
-from pathtrace.region.looks import Looks, turned_about, upright, widened
-from pathtrace.region.view_selection import DrawnRegion
+from pathtrace.region.view_selection import DrawnRegion, Looks, turned_about, upright, widened
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 
@@ -62,16 +61,7 @@ _PATCH = 0.12
 
 
 class Measures:
-    """Sizes of the space around a scene's own camera, in units of the scene; UserError if it sees no surface.
-
-    Attributes:
-        size: lower quartile of the distances to surfaces from places that the camera sees.
-        seen: median distance to what the camera sees.
-        reach: from the camera to where the space ends at most.
-        enclosing: distance of the farthest surfaces that enclose a place.
-        is_open: whether the camera stands in the open.
-        low, high: (3,) corners of the box in which the space lies.
-    """
+    """Sizes of the space around a scene's camera, in the scene's unit; UserError if it sees no surface."""
 
     def __init__(self, scene: Scene, surfaces: Surfaces):
         home, small = scene.camera, scene.camera.resized(12, 12)
@@ -83,12 +73,15 @@ class Measures:
         directions = sphere_directions(_DIRECTIONS)
         places = [home.position + rays * (share * depth)[:, None] for share in (0.25, 0.5, 0.75)]
         around = surfaces.around(np.concatenate(places), directions)
+        # Lower quartile of the distances to surfaces from places that the camera sees.
         self.size = float(np.quantile(around[np.isfinite(around)], 0.25))
         self.seen = float(np.median(depth))
         whole = surfaces.around(home.position[None], sphere_directions(_DIRECTIONS * 4))
         farthest = float(np.quantile(np.append(whole[np.isfinite(whole)], depth), 0.95))
+        # How far the space reaches, and the distance of the farthest surfaces that enclose a place.
         self.reach, self.enclosing = _REACH * farthest, _ENCLOSING * farthest
         self.is_open = bool(np.mean(whole > self.enclosing) > _IN_THE_OPEN)
+        # Corners (3,) of the box in which the space lies.
         margin = _MARGIN * self.size
         low, high = surfaces.bounds
         self.low = np.minimum(low, home.position - margin)
@@ -146,10 +139,15 @@ class FreeSpace:
 
     def _flooded(self) -> _Nodes:
         """(N, 3) nodes that can be reached, in the order of steps."""
-        known = _key(np.zeros((0, 3), dtype=np.int64))
-        front = self._first()
-        reached = [front]
-        total = len(front)
+        axis = range(-_FIRST_STEPS, _FIRST_STEPS + 1)
+        front = np.array(list(itertools.product(axis, repeat=3)), dtype=np.int64)
+        for is_good in (self._is_within, self._is_free):
+            front = front[is_good(front)]
+        ends, homes = self._position(front), np.tile(self._home, (len(front), 1))
+        # No wider than the place where the camera stands.
+        front = front[self._are_passable(homes, ends, min(self.radius, 0.5 * self._home_clearance))]
+        known = np.zeros(0, dtype=np.int64)
+        reached, total = [front], len(front)
         while len(front):
             known = np.union1d(known, _key(front))
             start = np.repeat(front, len(_STEPS), axis=0)
@@ -169,19 +167,7 @@ class FreeSpace:
             total += len(front)
         return np.concatenate(reached)
 
-    def _first(self) -> _Nodes:
-        """(N, 3) nodes around the camera to which it can step."""
-        axis = range(-_FIRST_STEPS, _FIRST_STEPS + 1)
-        nodes = np.array(list(itertools.product(axis, repeat=3)), dtype=np.int64)
-        nodes = nodes[self._is_within(nodes)]
-        nodes = nodes[self._is_free(nodes)]
-        ends = self._position(nodes)
-        # No wider than the place where the camera stands.
-        radius = min(self.radius, 0.5 * self._home_clearance)
-        return nodes[self._are_passable(np.tile(self._home, (len(ends), 1)), ends, radius)]
-
     def _is_within(self, nodes: _Nodes) -> Mask:
-        """Whether nodes lie where the scene does."""
         points, limit = self._position(nodes), self.measures
         is_near = np.linalg.norm(points - self._home, axis=1) <= limit.reach
         return is_near & (points >= limit.low).all(axis=1) & (points <= limit.high).all(axis=1)
@@ -216,16 +202,12 @@ class FreeSpace:
 
 
 def _key(nodes: _Nodes) -> _Nodes:
-    """(N,) one number for each node (N, 3)."""
     shifted = nodes + _HALF
     return (shifted[:, 0] * (2 * _HALF) + shifted[:, 1]) * (2 * _HALF) + shifted[:, 2]
 
 
 class ReachableRegion(DrawnRegion):
-    """The reachable space of a scene, as a lattice, with its surfaces.
-
-    UserError if the scene's own camera sees no surface, or a viewer has no space there.
-    """
+    """The reachable space of a scene, as a lattice; UserError if its camera sees nothing, or has no space."""
 
     name = "reachable"
     _views = "of it"

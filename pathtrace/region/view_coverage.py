@@ -23,9 +23,8 @@ _LEAST = 0.5
 class ViewCoverage:
     """What a set of views shows of a scene, and how finely.
 
-    A view covers a point if the point lies in its frame, nothing hides it, and the pixels there are fine
-    enough. Resolutions are compared as if all frames had the height of the views': how many pixels a display
-    has is not for a region to judge, how near its views came to a surface is. Reflections do not count.
+    A view covers a point if that lies in its frame, nothing hides it, and pixels there are fine enough. All
+    frames are compared at the height of the views'. Reflections do not count.
     """
 
     def __init__(self, surfaces: Surfaces, cameras: list[Camera]):
@@ -42,21 +41,21 @@ class ViewCoverage:
         self._intrinsics = np.array(numbers, dtype=np.float64).reshape(-1, 6)
 
     def map(self, camera: Camera) -> Array:
-        """(h, w) how well a camera's frame is covered, from 0 (unseen) to 1 (seen as finely or finer).
-
-        Between the two, values are ratios of resolutions, in pixels per length along a surface. The map has
-        the frame's shape, and about 144 values.
-        """
+        """(h, w), about 144 ratios of resolutions, from 0 (unseen) to 1, by which a frame is covered."""
         height = max(1, round(float(np.sqrt(_RAYS * camera.height / camera.width))))
         width = max(1, round(_RAYS / height))
-        x, y = np.meshgrid(
-            (np.arange(width) + 0.5) * camera.width / width,
-            (np.arange(height) + 0.5) * camera.height / height,
+        x, y = (
+            (np.arange(n) + 0.5) * side / n for n, side in ((width, camera.width), (height, camera.height))
         )
+        x, y = np.meshgrid(x, y)
         rays = camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))
         distance, normal = self._surfaces.hits(np.repeat(camera.position[None], len(rays), axis=0), rays)
+        # A length that distances between camera, views and surfaces do not exceed by far.
+        low, high = self._surfaces.bounds
+        box = float(np.linalg.norm(high - low)) if np.isfinite(low).all() else 0.0
+        spread = float(np.ptp(np.vstack([self._positions, camera.position]), axis=0).max())
         is_sky = ~np.isfinite(distance)
-        distance[is_sky] = _SKY * self._extent(camera)
+        distance[is_sky] = _SKY * max(spread, box, 1e-30)
         points = camera.position + rays * distance[:, None]
         normal[is_sky] = -rays[is_sky]
         wanted = _resolution(camera.fx, camera.fy, camera.height, camera.position - points, normal)
@@ -65,14 +64,17 @@ class ViewCoverage:
         ways = self._positions[view] - points[point]
         shown = _resolution(fx, fy, heights, ways, normal[point])
         ratio = np.minimum(shown / np.maximum(wanted[point], 1e-300), 1)
-        ratio[~self._are_visible(ways, self._positions[view], is_sky[point])] = 0
+        # Whether nothing hides points from views.
+        length = np.linalg.norm(ways, axis=1)
+        free = self._surfaces.distance(self._positions[view], -ways / length[:, None])
+        is_visible = np.where(is_sky[point], np.isinf(free), free >= (1 - _TOUCH) * length)
         best = np.zeros(len(points))
-        np.maximum.at(best, point, ratio)
+        np.maximum.at(best, point, np.where(is_visible, ratio, 0))
         return best.reshape(height, width)
 
-    def share(self, camera: Camera, least: float = _LEAST) -> float:
-        """Share of a camera's frame that is covered at that ratio of resolutions or more, 0..1."""
-        return float(np.mean(self.map(camera) >= least))
+    def share(self, camera: Camera) -> float:
+        """Share of a camera's frame, 0..1, that is covered at half of its resolution or more."""
+        return float(np.mean(self.map(camera) >= _LEAST))
 
     def _pairs(self, points: Array) -> tuple[_Indices, _Indices]:
         """Index of the view and of the point wherever one of points (N, 3) lies in a view's frame."""
@@ -86,27 +88,13 @@ class ViewCoverage:
         view, point = np.nonzero(within)
         return view, point
 
-    def _are_visible(self, ways: Array, positions: Array, is_sky: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(M,) whether nothing hides points from views, given the ways (M, 3) from points to views."""
-        length = np.linalg.norm(ways, axis=1)
-        free = self._surfaces.distance(positions, -ways / length[:, None])
-        return np.where(is_sky, np.isinf(free), free >= (1 - _TOUCH) * length)
-
-    def _extent(self, camera: Camera) -> float:
-        """A length that the distances between the camera, the views and the surfaces do not exceed by far."""
-        positions = np.concatenate([self._positions, camera.position[None]])
-        low, high = self._surfaces.bounds
-        box = np.linalg.norm(high - low) if np.isfinite(low).all() else 0.0
-        return max(float(np.ptp(positions, axis=0).max()), float(box), 1e-30)
-
 
 def _resolution(
     fx: Array | float, fy: Array | float, height: Array | float, ways: Array, normal: Array
 ) -> Array:
-    """(N,) frame heights per unit of length along surfaces with unit normals (N, 3).
+    """(N,) frame heights per unit of length along surfaces with unit normals (N, 3), by ways to views (N, 3).
 
-    Seen at a slant, a surface keeps its resolution along one axis and loses it along the other: this is the
-    geometric mean. A surface seen from behind has none. Ways (N, 3) lead from the surfaces to the views.
+    At a slant, it is the geometric mean of both axes; from behind, 0.
     """
     length = np.linalg.norm(ways, axis=1)
     cosine = np.sum(ways * normal, axis=1) / length

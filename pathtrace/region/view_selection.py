@@ -11,15 +11,89 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
-from pathtrace.region.looks import Looks, looks_of
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
+
+# Up is an axis of the world if that of the camera leans by less than about 50 degrees from it.
+_UPRIGHT = 0.65
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Views: positions (N, 3) in the world, and (N, 3, 3) camera-to-world rotations, OpenCV axes."""
+
+    positions: Array
+    rotations: Array
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, chosen: NDArray[np.generic] | slice) -> Looks:
+        return Looks(self.positions[chosen], self.rotations[chosen])
+
+    def camera(self, index: int, like: Camera) -> Camera:
+        """One of the views as a camera with the intrinsics of another one."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.rotations[index], self.positions[index]
+        return like.at(pose)
+
+    def rays(self, like: Camera, side: int) -> tuple[Array, Array]:
+        """Origins and directions, (N * side * side, 3) each, over a coarse grid of each frame."""
+        x, y = np.meshgrid(*[(np.arange(side) + 0.5) / side] * 2)
+        local = np.stack(
+            [
+                (x.ravel() * like.width - like.cx) / like.fx,
+                (y.ravel() * like.height - like.cy) / like.fy,
+                np.ones(side * side),
+            ],
+            axis=1,
+        )
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        directions = np.einsum("nij,mj->nmi", self.rotations, local).reshape(-1, 3)
+        return np.repeat(self.positions, side * side, axis=0), directions
+
+    def probe(self, surfaces: Surfaces, like: Camera, side: int) -> Array:
+        """(N, side * side) distances to what the views see; inf where there is nothing."""
+        return surfaces.distance(*self.rays(like, side)).reshape(len(self), side * side)
+
+
+def looks_of(cameras: list[Camera]) -> Looks:
+    """Cameras as arrays, without their intrinsics."""
+    poses = np.array([camera.camera_to_world for camera in cameras]).reshape(-1, 4, 4)
+    return Looks(poses[:, :3, 3], poses[:, :3, :3])
+
+
+def upright(home: Camera) -> Array:
+    """(3,) what is up: the axis of the world that is nearest to the camera's own, else the camera's own."""
+    own = -home.camera_to_world[:3, 1]
+    axis = int(np.argmax(np.abs(own)))
+    return np.sign(own[axis]) * np.eye(3)[axis] if abs(own[axis]) > _UPRIGHT else own
+
+
+def turned_about(up: Array, yaw: Array, pitch: Array) -> Array:
+    """(N, 3, 3) level camera-to-world rotations, of yaw (N,) about `up` (3,) and pitch (N,), degrees."""
+    level = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    level /= np.linalg.norm(level)
+    yaw, pitch = np.radians(yaw)[:, None], np.radians(pitch)[:, None]
+    ahead = np.cos(yaw) * level + np.sin(yaw) * np.cross(up, level)
+    forward = np.cos(pitch) * ahead + np.sin(pitch) * up
+    right = np.cross(ahead, up)
+    return np.stack([right, np.cross(forward, right), forward], axis=2)
+
+
+def widened(camera: Camera, degrees: float) -> Camera:
+    """The camera with a field of view of at least that many degrees along the frame's shorter side."""
+    least = 0.5 / np.tan(np.radians(degrees) / 2)
+    scale = min(1.0, least * min(camera.width, camera.height) / max(camera.fx, camera.fy))
+    return replace(camera.at(camera.camera_to_world), fx=camera.fx * scale, fy=camera.fy * scale)
+
 
 _Numbers = NDArray[np.int64]
 
@@ -87,10 +161,7 @@ class DrawnRegion(ABC):
         return [looks.camera(index, home) for index in range(count)]
 
     def _drawn(self, count: int, like: Camera, for_training: bool, seeds: list[int]) -> Looks:
-        """Up to `count` views that show something, and not only from too near; UserError if there are none.
-
-        They are fewer where hardly one in 24 shows anything.
-        """
+        """Up to `count` views that show something not too near; UserError if there are none."""
         rng, positions, rotations, total = np.random.default_rng(seeds), [], [], 0
         for _ in range(_TRIES):
             looks = self._propose(count, for_training, rng)
@@ -108,10 +179,7 @@ class DrawnRegion(ABC):
 
 
 class Selection:
-    """Chooses views of a region, for viewers and the camera that they have.
-
-    The patches have a side in units of the scene; the origin (3,) is a point amid it.
-    """
+    """Chooses views for viewers and their camera, by patches whose grid has an origin (3,)."""
 
     def __init__(self, surfaces: Surfaces, patch: float, origin: Array, viewers: tuple[Looks, Camera]):
         self._surfaces, self._patch, self._origin = surfaces, patch, origin
@@ -121,10 +189,9 @@ class Selection:
         self._weight = pixels / max(pixels.sum(), 1)
 
     def chosen(self, count: int, first: Camera, like: Camera, draw: Callable[[int], Looks]) -> list[Camera]:
-        """Views, best first; the first views are the same whatever their number.
+        """Views, best first, the same whatever their number, after a `first` one.
 
-        The `first` is taken without a choice; the others have the intrinsics of `like`, and are chosen from
-        the candidates, at least one, that `draw` gives for the number of the round.
+        The others have the intrinsics of `like`, of candidates that `draw` gives for the number of the round.
         """
         views = [first][:count]
         lacking = self._weight.copy()

@@ -35,8 +35,7 @@ _process = 0
 def select_backend(choice: str = "auto") -> Backend:
     """Sets the Mitsuba variant, once per process: "cuda", "llvm", or "auto" for CUDA if it is available.
 
-    Raises:
-        UserError: the choice is unknown or not available, or another backend is already in use.
+    UserError if the choice is unknown or not available, or another backend is already in use.
     """
     global _selected, _process
     _require_own_process()
@@ -83,7 +82,7 @@ def _select(choice: str) -> Backend:
     import mitsuba as mi
 
     # Plugins are native code: those in a folder `plugins` of the working folder are not Mitsuba's.
-    mi.file_resolver().prepend(str(Path(mi.__file__).parent))
+    mi.file_resolver().prepend(str(Path(mi.__file__).parent))  # type: ignore[operator]  # a function
     # More talkative levels deadlock with a second thread in Dr.Jit 1.5.
     dr.set_log_level(dr.LogLevel.Warn)
     # Mitsuba reads EXR files in Dr.Jit's threads; with one, which is the caller, it would wait for ever.

@@ -29,21 +29,13 @@ _NEIGHBOURS = 16
 
 @dataclass(frozen=True)
 class Course:
-    """Where a shape, or a piece of one that deforms, is over time.
+    """Where a shape, or a piece of one that deforms, is over time."""
 
-    Attributes:
-        name: its id in the scene's file.
-        shape: its index among the shapes of the scene, which frames have per pixel.
-        rotations: (T, 4) unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1.
-        centre: (3,) a point of it at rest, in the coordinates of the frames' cameras.
-        shifts: (T, 3) how far that point is from rest.
-    """
-
-    name: str
-    shape: int
-    rotations: Array
-    centre: Array
-    shifts: Array
+    name: str  # its id in the scene's file
+    shape: int  # its index among the shapes of the scene, which frames have per pixel
+    rotations: Array  # (T, 4) unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1
+    centre: Array  # (3,) a point of it at rest, in the coordinates of the frames' cameras
+    shifts: Array  # (T, 3) how far that point is from rest
 
     def as_json(self) -> dict[str, Any]:
         """In types that JSON has."""
@@ -85,8 +77,7 @@ def spread_over_faces(
 ) -> tuple[NDArray[np.int64], Array]:
     """Points that are evenly spread over the faces (F, 3) of a mesh (V, 3), always the same ones.
 
-    Given as (N, 3) indices of the vertices around each, and (N, 3) its shares of them, whose sum is 1; N is
-    `count`, or 0 if no face has an area.
+    They are (N, 3) indices of the vertices around, and shares of these; N is 0 if no face has an area.
     """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -100,10 +91,7 @@ def spread_over_faces(
 
 
 def is_unchanged(vertices: Array, faces: NDArray[np.int64], centre: Array, rotations: Array) -> bool:
-    """Whether a mesh looks the same after turns (T, 3, 3) around a point (3,).
-
-    Its vertices (V, 3) are those at rest; faces (F, 3) are their indices.
-    """
+    """Whether a mesh (V, 3) with faces (F, 3) looks the same after turns (T, 3, 3) about a point (3,)."""
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     corners, shares = spread_over_faces(vertices, faces, _SYMMETRY_POINTS)
     tree = cKDTree(np.concatenate([vertices, np.einsum("nc,nci->ni", shares, vertices[corners])]))
@@ -115,20 +103,14 @@ def is_unchanged(vertices: Array, faces: NDArray[np.int64], centre: Array, rotat
 
 
 def courses_of_pieces(name: str, shape: int, rest: Array, moved: Array) -> list[Course]:
-    """The courses of as many pieces as a deforming shape requires.
-
-    Its vertices are (V, 3) at rest, and moved (T, V, 3) at T equal steps of time from 0 to 1.
-    """
+    """Courses of as many pieces as a shape requires whose vertices (V, 3) at rest move (T, V, 3)."""
     diagonal = float(np.linalg.norm(np.ptp(rest, axis=0)))
     for count in _COUNTS:
         centres = _spread(rest, min(count, len(rest)))
         poses = _poses(rest, moved, centres)
         if count >= len(rest) or _error(rest, moved, centres, poses) <= _PIECE_TOLERANCE * diagonal:
             break
-    return [
-        course_of_poses(name, shape, piece, rest[centre])
-        for centre, piece in zip(centres, poses, strict=True)
-    ]
+    return [course_of_poses(name, shape, *piece) for piece in zip(poses, rest[centres], strict=True)]
 
 
 def _spread(points: Array, count: int) -> NDArray[np.int64]:
@@ -148,17 +130,11 @@ def _poses(rest: Array, moved: Array, centres: NDArray[np.int64]) -> Array:
     """
     around = len(rest) if len(centres) == 1 else min(_NEIGHBOURS, len(rest))
     _, near = cKDTree(rest).query(rest[centres], k=around)
-    near = near.reshape(len(centres), around)
-    pairs = zip(centres, near, strict=True)
-    return np.stack([_piece(rest[n], moved[:, n], rest[c], moved[:, c]) for c, n in pairs])
-
-
-def _piece(rest: Array, moved: Array, centre: Array, centre_moved: Array) -> Array:
-    """(T, 4, 4) the transform of vertices (N, 3) to (T, N, 3) that brings a centre (3,) to (T, 3)."""
-    before, after = rest - centre, moved - centre_moved[:, None]
-    poses = np.tile(np.eye(4), (len(moved), 1, 1))
-    poses[:, :3, :3] = nearest_rotations(np.einsum("tni,nj->tij", after, before))
-    poses[:, :3, 3] = centre_moved - poses[:, :3, :3] @ centre
+    poses = np.tile(np.eye(4), (len(centres), len(moved), 1, 1))
+    for pose, centre, near_it in zip(poses, centres, near.reshape(len(centres), around), strict=True):
+        before, after = rest[near_it] - rest[centre], moved[:, near_it] - moved[:, centre, None]
+        pose[:, :3, :3] = nearest_rotations(np.einsum("tni,nj->tij", after, before))
+        pose[:, :3, 3] = moved[:, centre] - pose[:, :3, :3] @ rest[centre]
     return poses
 
 

@@ -13,20 +13,25 @@ import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeVar
 
 import mitsuba as mi
 import numpy as np
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera, camera_from_pose
-from compose.camera.coordinate_systems import TYPICAL_DISTANCE, WORLD, Place, opencv_from_mitsuba
-from pathtrace.scene.degenerate import degenerate_meshes, of_kind, without
+from compose.camera.camera import Array, Camera
+from compose.camera.coordinate_systems import TYPICAL_DISTANCE, WORLD, Place
+from pathtrace.scene.optics import camera_of_sensor, perspective_sensor
 from pathtrace.scene.scene_xml import mitsuba_folder
 from pathtrace.scene.sunsky import PLUGIN as BALANCED_SUNSKY
 from pathtrace.scene.triangles import Surfaces
 
+_FILES = "ply", "obj"
+# What Mitsuba 3.9 says of a mesh with NaN or infinity.
+_NOT_FINITE = re.compile("invalid vertex (position|normal) data")
+_PLY_FACES = re.compile(rb"element\s+face\s+(\d+)")
+# Bytes in which the header of a PLY file ends.
+_HEADER = 1 << 16
 # What scales with its to_world alone; for other plugins, another unit of length would change how they look.
 _SHAPES = ("obj", "ply", "serialized", "cube", "rectangle", "disk", "sphere", "cylinder", "instance")
 _POINTS = ("point", "spot")
@@ -43,12 +48,76 @@ _TOLERANCE = 1e-3
 # A scene of at least this size whose camera is no farther from the origin is good as it is.
 _ORDINARY_SIZE, _ORDINARY_DISTANCE = 1.0, 20.0
 
+_Found = TypeVar("_Found")
+
 
 class ImmovableError(ValueError):
     """A scene has a part that cannot be moved or scaled; says which."""
 
 
-def camera_position(state: Any) -> Array:
+def _degenerate_meshes(state: mi.parser.ParserState) -> dict[int, str]:
+    """What is wrong with each mesh for which Mitsuba refuses a whole scene, by the number of its node.
+
+    Such meshes have no faces, or numbers that are not finite.
+    """
+    found = {}
+    for number, node in enumerate(state.nodes):
+        plugin, is_shape = node.props.plugin_name(), node.type == mi.ObjectType.Shape
+        if is_shape and plugin in _FILES and "filename" in node.props:
+            name = str(node.props["filename"])
+            file = Path(str(mi.file_resolver().resolve(name)))  # type: ignore[operator]  # a function
+            if file.is_file() and (wrong := _wrong(node.props, file)):
+                found[number] = f"the mesh {name} {wrong}"
+    return found
+
+
+def _wrong(properties: mi.Properties, file: Path) -> str | None:
+    """What is wrong with a mesh; None if that is nothing, or something else."""
+    with file.open("rb") as opened:
+        if file.suffix.lower() == ".ply":
+            count = _PLY_FACES.search(opened.read(_HEADER))
+            has_faces = count is None or int(count[1]) > 0
+        else:
+            has_faces = any(line.lstrip().startswith(b"f") for line in opened)
+    if not has_faces:
+        return "has no faces"
+    shape: dict[str, object] = {"type": properties.plugin_name(), "filename": str(file)}
+    if "to_world" in properties:
+        if not np.isfinite(_to_world(properties)).all():
+            return "has a to_world that is not finite"
+        shape["to_world"] = properties["to_world"]
+    try:
+        mi.load_dict(shape)
+    except RuntimeError as error:
+        if _NOT_FINITE.search(str(error)):
+            return "has vertices that are not finite"
+    return None
+
+
+def _leave_out(state: mi.parser.ParserState, numbers: Collection[int]) -> None:
+    """Takes nodes out of a parsed scene, and instances of groups in which nothing is left."""
+    # With an empty group in memory, Dr.Jit refuses to record kernels of any scene.
+    left_out, kinds = set(numbers), mi.Properties.Type
+    plugins = [node.props.plugin_name() for node in state.nodes]
+    parts = [_of_kind(node.props, kinds.ResolvedReference) for node in state.nodes]
+    held = [{part.index() for part in found.values()} for found in parts]
+    empty = {n for n, plugin in enumerate(plugins) if plugin == "shapegroup" and held[n] <= left_out}
+    ids = {state.nodes[number].props.id() for number in empty}
+    for number, node in enumerate(state.nodes):
+        named = {part.id() for part in _of_kind(node.props, kinds.Reference).values()}
+        if plugins[number] == "instance" and (named & ids or held[number] & empty):
+            left_out.add(number)
+    for node, found in zip(state.nodes, parts, strict=True):
+        for name, part in found.items():
+            if part.index() in left_out | empty:
+                del node.props[name]
+
+
+def _of_kind(properties: mi.Properties, kind: mi.Properties.Type) -> dict[str, Any]:
+    return {name: properties[name] for name in list(properties.keys()) if properties.type(name) == kind}
+
+
+def _camera_position(state: mi.parser.ParserState) -> Array:
     """(3,) position in world space, float64, of the first perspective camera of a parsed scene."""
     for node in state.nodes:
         if node.type == mi.ObjectType.Sensor and node.props.plugin_name() in _CAMERAS:
@@ -56,20 +125,18 @@ def camera_position(state: Any) -> Array:
     return np.zeros(3)
 
 
-def relocate(state: Any, place: Place) -> None:
+def _relocate(state: mi.parser.ParserState, place: Place) -> None:
     """Puts a parsed scene into the coordinates of a place; ImmovableError if a part of it cannot be.
 
-    Light stays as it is: that of area lights does not depend on the unit of length, and the intensity of
-    point lights is divided by its square.
+    Light stays as it is: that of point lights is divided by the square of the unit.
     """
     groups = (node.props for node in state.nodes if node.props.plugin_name() == "shapegroup")
-    reference = mi.Properties.Type.ResolvedReference
-    inside = {group[name].index() for group in groups for name in of_kind(group, reference)}
+    kinds = mi.Properties.Type
+    inside = {part.index() for g in groups for part in _of_kind(g, kinds.ResolvedReference).values()}
     for index, node in enumerate(state.nodes):
         kind, plugin = node.type, node.props.plugin_name()
         # Dictionaries may hold objects that are loaded already.
-        holds_objects = bool(of_kind(node.props, mi.Properties.Type.Object))
-        if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or holds_objects:
+        if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or _of_kind(node.props, kinds.Object):
             raise ImmovableError(f"a {plugin or 'loaded object'}")
         if kind == mi.ObjectType.BSDF and plugin == "bumpmap" and place.unit != 1:
             raise ImmovableError("a bumpmap")
@@ -84,12 +151,9 @@ def relocate(state: Any, place: Place) -> None:
             _relocate_to_world(node.props, place)
 
 
-def coarsest_step(state: Any) -> float:
-    """Step of float32 at the vertices of a scene's mesh files: if they carry the distance from the origin.
-
-    A mesh that its to_world puts near the camera has its vertices near its own origin.
-    """
-    camera = camera_position(state)
+def _coarsest_step(state: mi.parser.ParserState) -> float:
+    """Step of float32 at vertices of mesh files, if they, and not to_world, carry their distance."""
+    camera = _camera_position(state)
     far = float(np.linalg.norm(camera))
     shapes = (node.props for node in state.nodes if node.type == mi.ObjectType.Shape)
     files = (shape for shape in shapes if "filename" in shape)
@@ -97,83 +161,69 @@ def coarsest_step(state: Any) -> float:
     return far / _STEPS if unmoved else 0.0
 
 
-def _relocate_emitter(properties: Any, place: Place) -> None:
+def _relocate_emitter(properties: mi.Properties, place: Place) -> None:
     plugin = properties.plugin_name()
     if plugin == "area" or plugin in _ENDLESS:
         return
     if plugin not in _POINTS:
         raise ImmovableError(f"a {plugin}")
     if place.unit != 1:
-        _scale_intensity(properties, place.unit**-2)
+        intensity: Any = properties.get("intensity", 1.0)
+        kinds = mi.Properties.Type
+        kind = properties.type("intensity") if "intensity" in properties else kinds.Float
+        if kind not in (kinds.Float, kinds.Color):
+            raise ImmovableError(f"a {plugin} light with a spectrum or a texture")
+        scaled = [float(channel) * place.unit**-2 for channel in np.ravel(intensity)]
+        properties["intensity"] = scaled[0] if kind == kinds.Float else mi.ScalarColor3d(*scaled)
     if "position" in properties:
         properties["position"] = place.from_world(np.array(properties["position"])).tolist()
     else:
         _relocate_to_world(properties, place)
 
 
-def _scale_intensity(properties: Any, factor: float) -> None:
-    if "intensity" not in properties:
-        properties["intensity"] = factor
-        return
-    intensity = properties["intensity"]
-    kind = properties.type("intensity")
-    if kind == mi.Properties.Type.Float:
-        properties["intensity"] = float(intensity) * factor
-    elif kind == mi.Properties.Type.Color:
-        properties["intensity"] = mi.ScalarColor3d(*(float(channel) * factor for channel in intensity))
-    else:
-        raise ImmovableError(f"a {properties.plugin_name()} light with a spectrum or a texture")
-
-
-def _relocate_to_world(properties: Any, place: Place) -> None:
+def _relocate_to_world(properties: mi.Properties, place: Place) -> None:
     matrix = _to_world(properties)
     matrix[:3] /= place.unit
     matrix[:3, 3] -= np.array(place.origin) / place.unit
     if properties.plugin_name() in _CAMERAS:
         # A camera has no scale.
         matrix[:3, :3] *= place.unit
-        for clip in ("near_clip", "far_clip"):
-            if clip in properties:
-                properties[clip] = float(properties[clip]) / place.unit
+        for clip in {"near_clip", "far_clip"} & set(properties.keys()):
+            depth: Any = properties[clip]
+            properties[clip] = float(depth) / place.unit
     properties["to_world"] = mi.ScalarTransform4d(matrix)
 
 
-def _to_world(properties: Any) -> Array:
+def _to_world(properties: mi.Properties) -> Array:
     """(4, 4) float64; a copy."""
     if "to_world" not in properties:
         return np.eye(4)
-    return np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    transform: Any = properties["to_world"]
+    return np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a scene is loaded from: XML text, whose files are relative to a folder, or a dictionary.
+    """What a scene is loaded from."""
 
-    The name stands in error messages. Nodes of the parsed scene that are left out have numbers.
-    """
-
-    name: str
-    content: str | dict[str, Any]
-    folder: Path | None = None
-    left_out: frozenset[int] = frozenset()
+    name: str  # for error messages
+    content: str | dict[str, Any]  # XML text, or a dictionary
+    folder: Path | None = None  # that files of the text are relative to
+    left_out: frozenset[int] = frozenset()  # numbers of nodes of the parsed scene
 
 
-def load_mitsuba_in_place(
-    source: Source, unit: float, apart: Collection[str] = ()
-) -> tuple[Any, Place, float]:
-    """A Mitsuba scene in coordinates of its own: its origin is the first camera, its unit that of length.
+def _load_in_place(source: Source, unit: float, apart: Collection[str]) -> tuple[mi.Scene, Place, float]:
+    """A scene whose origin is its first camera, in a unit of length, with its place and `_coarsest_step`.
 
-    Also returns its place, and the step of float32 at vertices that a mesh file holds far from the origin;
-    `apart` is as in `load_mitsuba`. UserError if Mitsuba refuses the scene, or it has a part that cannot be
-    moved or scaled.
+    UserError if Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
     """
     place, step = WORLD, 0.0
 
-    def moved(state: Any) -> None:
+    def moved(state: mi.parser.ParserState) -> None:
         nonlocal place, step
-        x, y, z = camera_position(state).tolist()
-        place, step = Place((x, y, z), unit), coarsest_step(state)
-        relocate(state, place)
+        x, y, z = _camera_position(state).tolist()
+        place, step = Place((x, y, z), unit), _coarsest_step(state)
+        _relocate(state, place)
 
     try:
         return _parsed(source, apart, moved), place, step
@@ -187,30 +237,27 @@ def load_mitsuba_in_place(
         raise
 
 
-def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
-    """A Mitsuba scene, whose meshes Mitsuba merges, by which tracing is twice as fast.
+def load_mitsuba(source: Source, apart: Collection[str] = ()) -> mi.Scene:
+    """A Mitsuba scene; UserError if Mitsuba refuses it. Its meshes are merged, which is twice as fast.
 
-    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids. UserError if Mitsuba
-    refuses it, or it is not a scene.
+    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids.
     """
     if apart or source.left_out:
         return _parsed(source, apart, lambda state: None)
     # As this loads in parallel.
-    load = mi.load_dict if isinstance(source.content, dict) else mi.load_string
-    return _checked(source, lambda: load(source.content))
+    content = source.content
+    return _checked(
+        source, lambda: mi.load_dict(content) if isinstance(content, dict) else mi.load_string(content)
+    )
 
 
-def load_whole_parts(source: Source, apart: Collection[str] = ()) -> tuple[Any, Source, list[str]]:
-    """As `load_mitsuba`, but without degenerate meshes if it is for them that Mitsuba refuses the scene.
-
-    Also returns the source without these, and what is wrong with each.
-    """
+def load_whole_parts(source: Source, apart: Collection[str] = ()) -> tuple[mi.Scene, Source, list[str]]:
+    """As `load_mitsuba`, without meshes that Mitsuba refuses; also the source then, and their faults."""
     try:
         return load_mitsuba(source, apart), source, []
     except UserError:
-        configuration = mi.parser.ParserConfig(mi.variant())
         try:
-            wrong = _found(source, lambda: degenerate_meshes(_state(configuration, source)))
+            wrong = _in_folder(source, lambda: _degenerate_meshes(_state(_configuration(), source)))
         except Exception:
             wrong = {}
         if not wrong:
@@ -219,29 +266,30 @@ def load_whole_parts(source: Source, apart: Collection[str] = ()) -> tuple[Any, 
     return load_mitsuba(source, apart), source, list(wrong.values())
 
 
-def _state(configuration: Any, source: Source) -> Any:
-    """The parsed description of a scene."""
+def _configuration() -> mi.parser.ParserConfig:
+    found = mi.parser.ParserConfig(mi.variant() or "")
+    # In parallel, Mitsuba 3.9.1 makes scenes of which Dr.Jit may stumble over the arrays later, and crash.
+    found.parallel = False
+    return found
+
+
+def _state(configuration: mi.parser.ParserConfig, source: Source) -> mi.parser.ParserState:
     if isinstance(source.content, dict):
         return mi.parser.parse_dict(configuration, source.content)
     return mi.parser.parse_string(configuration, source.content)
 
 
-def _found(source: Source, load: Callable[[], Any]) -> Any:
-    """What a function finds in the folder of a scene."""
-    return load() if source.folder is None else _in(source.folder, load)
-
-
-def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], None]) -> Any:
+def _parsed(
+    source: Source, apart: Collection[str], change: Callable[[mi.parser.ParserState], None]
+) -> mi.Scene:
     """A Mitsuba scene from its parsed description, which is changed before anything is made of it."""
-    configuration = mi.parser.ParserConfig(mi.variant())
-    # In parallel, Mitsuba 3.9.1 makes scenes of which Dr.Jit may stumble over the arrays later, and crash.
-    configuration.parallel = False
 
-    def load() -> Any:
+    def load() -> object:
+        configuration = _configuration()
         state = _state(configuration, source)
         if source.left_out:
-            without(state, source.left_out)
-        changed(state)
+            _leave_out(state, source.left_out)
+        change(state)
         _simplify(configuration, state, apart)
         loaded = mi.parser.instantiate(configuration, state)
         return loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
@@ -249,7 +297,9 @@ def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], Non
     return _checked(source, load)
 
 
-def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
+def _simplify(
+    configuration: mi.parser.ParserConfig, state: mi.parser.ParserState, apart: Collection[str]
+) -> None:
     """Mitsuba's own simplifications of a parsed scene, but for shapes that are to stay as they are."""
     if not apart:
         mi.parser.transform_all(configuration, state)
@@ -260,10 +310,9 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_merge_equivalent(configuration, state)
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
-    nodes = {
-        key: state.nodes[root[key].index()] for key in of_kind(root, mi.Properties.Type.ResolvedReference)
-    }
-    held = {key: root[key] for key, node in nodes.items() if node.props.id() in apart}
+    parts = _of_kind(root, mi.Properties.Type.ResolvedReference)
+    nodes = {key: state.nodes[part.index()] for key, part in parts.items()}
+    held = {key: parts[key] for key, node in nodes.items() if node.props.id() in apart}
     # Mitsuba 3.9.1 crashes where there is no shape to merge.
     if any(node.type == mi.ObjectType.Shape for key, node in nodes.items() if key not in held):
         for key in held:
@@ -274,9 +323,9 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_reorder(configuration, state)
 
 
-def _checked(source: Source, load: Callable[[], Any]) -> Any:
+def _checked(source: Source, load: Callable[[], object]) -> mi.Scene:
     try:
-        loaded = _found(source, load)
+        loaded = _in_folder(source, load)
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         # Mitsuba's first lines name a position in its own code; the last ones say what is wrong.
@@ -287,16 +336,18 @@ def _checked(source: Source, load: Callable[[], Any]) -> Any:
         raise UserError(
             f"{source.name}: Mitsuba refuses the scene: {' '.join(said) or error}{advice}"
         ) from error
-    if isinstance(loaded, list) or not isinstance(loaded, mi.Scene):
+    if not isinstance(loaded, mi.Scene):
         raise UserError(f"{source.name}: not a complete scene; the top element must be <scene>")
     return loaded
 
 
-def _in(folder: Path, load: Callable[[], Any]) -> Any:
-    """Loads a scene whose files are relative to a folder."""
-    resolver = mi.file_resolver()
+def _in_folder(source: Source, load: Callable[[], _Found]) -> _Found:
+    """What a function finds in the folder of a scene, to which its files are relative."""
+    if source.folder is None:
+        return load()
+    resolver = mi.file_resolver()  # type: ignore[operator]  # a function
     before = [resolver[i] for i in range(len(resolver))]
-    resolver.prepend(str(folder))
+    resolver.prepend(str(source.folder))
     # Before the scene's folder, from which plugins, which are native code, would be loaded as well.
     resolver.prepend(str(mitsuba_folder()))
     try:
@@ -308,60 +359,20 @@ def _in(folder: Path, load: Callable[[], Any]) -> Any:
             resolver.append(entry)
 
 
-def camera_of_sensor(sensor: Any, source: str) -> Camera:
-    """The camera of a perspective sensor, at the size of its film's crop window, by default the whole film.
-
-    `source` stands in error messages. UserError if the sensor's to_world mirrors or shears.
-    """
-    parameters, film = mi.traverse(sensor), sensor.film()
-    width, height = (int(v) for v in film.size())
-    focal = 0.5 * width / np.tan(np.radians(float(parameters["x_fov"][0])) / 2)
-    names = [f"principal_point_offset_{axis}" for axis in "xy"]
-    # A thin lens has none.
-    offset = [float(parameters[name][0]) if name in parameters else 0.0 for name in names]
-    to_world = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4)
-    centre = width * (0.5 - offset[0]), height * (0.5 - offset[1])
-    left, top = (int(v) for v in film.crop_offset())
-    try:
-        whole = camera_from_pose(opencv_from_mitsuba(to_world), width, height, focal, focal, *centre)
-        return whole.cropped(left, top, *(int(v) for v in film.crop_size()))
-    except ValueError as error:
-        raise UserError(f"{source}: the camera's to_world: {error}") from error
-
-
-def perspective_sensor(scene: Any, source: str, name: str | None = None) -> Any:
-    """The perspective sensor or thin lens of a name in a Mitsuba scene, by default the first.
-
-    UserError if it has none.
-    """
-    sensors = scene.sensors()
-    if not sensors:
-        raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
-    found = [sensor for sensor in sensors if "x_fov" in mi.traverse(sensor)]
-    if not found:
-        raise UserError(f"{source}: the camera is not a perspective one; use <sensor type='perspective'>")
-    named = [sensor for sensor in found if name in (None, sensor.id())]
-    if not named:
-        names = ", ".join(sensor.id() for sensor in found)
-        raise UserError(f"{source}: sensor {name}: the scene's perspective cameras are {names}")
-    return named[0]
-
-
 def in_good_coordinates(
-    source: Source, loaded: Any, camera: Camera, apart: Collection[str] = (), sensor: str | None = None
-) -> tuple[Any, Camera, Place]:
-    """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
+    source: Source, loaded: mi.Scene, camera: Camera, apart: Collection[str] = (), sensor: str | None = None
+) -> tuple[mi.Scene, Camera, Place]:
+    """A scene, given as loaded and its camera, in coordinates that Mitsuba can trace it in, with its place.
 
-    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba` and
-    `perspective_sensor`. UserError if the scene cannot be moved or scaled as far as it would have to be.
+    UserError if it cannot be moved or scaled as far as it would have to be.
     """
     if _is_ordinary(loaded, camera):
         return loaded, camera, WORLD
     unit = 1.0
     while True:
-        moved, place, step = load_mitsuba_in_place(source, unit, apart)
+        moved, place, step = _load_in_place(source, unit, apart)
         own = camera_of_sensor(perspective_sensor(moved, source.name, sensor), source.name)
-        distance = _distance(moved, own)
+        distance = Surfaces(moved).median_distance(own)
         if not 0 < distance < np.inf:
             # It sees nothing: whoever needs surfaces says so.
             return loaded, camera, WORLD
@@ -378,17 +389,12 @@ def in_good_coordinates(
         unit = float(2.0 ** np.round(np.log2(distance / TYPICAL_DISTANCE)))
 
 
-def _is_ordinary(loaded: Any, camera: Camera) -> bool:
-    """Whether rays start near enough to surfaces in the coordinates of the file."""
+def _is_ordinary(loaded: mi.Scene, camera: Camera) -> bool:
     far, box = float(np.linalg.norm(camera.position)), loaded.bbox()
     size = float(np.max(np.array(box.max) - np.array(box.min)))
     if size >= _ORDINARY_SIZE and far <= _ORDINARY_DISTANCE:
         return True
-    distance = _distance(loaded, camera)
+    distance = Surfaces(loaded).median_distance(camera)
     if not np.isfinite(distance) and far <= _ORDINARY_DISTANCE:
         return True
     return _RAY_OFFSET * (1 + far) <= _TOLERANCE * distance < np.inf
-
-
-def _distance(loaded: Any, camera: Camera) -> float:
-    return Surfaces(SimpleNamespace(mitsuba=loaded, traced=loaded)).median_distance(camera)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import product
+from pathlib import Path
 from typing import Any, TypeAlias
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.traced_samples import UNSTEADY, Moment
@@ -22,8 +24,8 @@ from pathtrace.scene.courses import (
     is_unchanged,
     spread_over_faces,
 )
-from pathtrace.scene.instances import InstancedScene, of_mitsuba
-from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, RigidTrack, SceneMotion, ShapeTrack
+from pathtrace.scene.instances import AnyScene, InstancedScene, of_mitsuba
+from pathtrace.scene.motion_file import Formula, LightTrack, MeshTrack, RigidTrack, SceneMotion, ShapeTrack
 
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
@@ -40,17 +42,18 @@ _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
 class MovingScene:
     """A Mitsuba scene in which shapes and lights follow their tracks, from 0 to 1; it is at t = 0 at first.
 
-    The scene is changed in place. Only what has another place than before is touched, and no kernel is
-    compiled again. UserError if a track is for a shape or light that does not exist or cannot move that way.
+    It is changed in place, only where something has moved, and no kernel is compiled again. UserError if a
+    track is for what does not exist or cannot move that way.
 
     Args:
-        motion: the tracks.
+        scene, motion, place: the scene, its tracks, and its coordinates.
         names: the id that a shape or light of the scene has, by the one that it has in the scene's file.
-        place: the scene's coordinates.
         source: name of the scene, for error messages.
     """
 
-    def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):
+    def __init__(
+        self, scene: AnyScene, motion: SceneMotion, names: dict[str, str], place: Place, source: str
+    ):
         self.motion, self.time = motion, 0.0
         self._scene, self._names = scene, names
         self._parameters = mi.traverse(of_mitsuba(scene))
@@ -88,10 +91,7 @@ class MovingScene:
         return [(name, track) for name, track in self.motion.shapes.items() if isinstance(track, RigidTrack)]
 
     def courses(self, steps: int = _STEPS) -> list[Course]:
-        """The courses of all shapes that move, of pieces of those that deform, in the scene's coordinates.
-
-        Turns that nobody sees are left out: those of a ball without a texture.
-        """
+        """Courses of all that moves, of pieces of what deforms; nobody sees turns of plain balls."""
         shapes = {shape.id(): (number, shape) for number, shape in enumerate(self._scene.shapes())}
         times, found = np.linspace(0, 1, steps), []
         for name, track in self.motion.shapes.items():
@@ -102,10 +102,8 @@ class MovingScene:
             if isinstance(track, RigidTrack):
                 poses = np.stack([self._tracked.pose(track, time) for time in times])
                 centre = self._tracked.place.from_world(np.array(track.about))
-                plain = None if _is_textured(shape) else rest
-                if plain is not None and is_unchanged(
-                    plain, self._tracked.faces_of(name), centre, poses[:, :3, :3]
-                ):
+                mesh = () if rest is None else (rest, self._tracked.faces_of(name))
+                if mesh and not _is_textured(shape) and is_unchanged(*mesh, centre, poses[:, :3, :3]):
                     # Its highlights stay where they are while it turns.
                     poses[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
                     poses[:, :3, :3] = np.eye(3)
@@ -114,7 +112,11 @@ class MovingScene:
                 at = self._tracked.deforming(name, rest, track)
                 moved = np.stack([at(time) for time in times])
                 if len(rest) < _COARSE:
-                    rest, moved = _with_points(rest, moved, self._tracked.faces_of(name))
+                    # With points on the faces between the vertices.
+                    corners, shares = spread_over_faces(rest, self._tracked.faces_of(name), _COARSE)
+                    between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
+                    rest = np.concatenate([rest, np.einsum("nc,nci->ni", shares, rest[corners])])
+                    moved = np.concatenate([moved, between], axis=1)
                 found += courses_of_pieces(name, number, rest, moved)
         return found
 
@@ -130,15 +132,18 @@ class MovingScene:
             self._scene.follow()
 
     def _set(self, key: str, value: Array) -> None:
-        """Gives a parameter a value, that of vertices in the memory that they have.
-
-        A frozen function may go on reading the memory that they had when it was recorded (Dr.Jit 1.5).
-        """
+        """Gives a parameter a value; recordings may go on reading the memory of vertices (Dr.Jit 1.5)."""
         if key.endswith((_POSITIONS, _NORMALS)):
             torch.from_dlpack(self._parameters[key])[:] = torch.from_numpy(value.astype(np.float32))
             self._parameters.set_dirty(key)
+            return
+        kind, numbers = type(self._parameters[key]), np.ravel(value)
+        if value.shape == (4, 4):
+            self._parameters[key] = kind(value.tolist())
+        elif len(numbers) in (1, 3) and kind is not mi.Float:
+            self._parameters[key] = kind(*numbers.tolist())
         else:
-            self._parameters[key] = _like(self._parameters[key], value)
+            self._parameters[key] = kind(np.ascontiguousarray(value, dtype=np.float32))
 
 
 class _Tracked:
@@ -148,7 +153,7 @@ class _Tracked:
     and not by the garbage collector, which may come while Dr.Jit goes through all scenes.
     """
 
-    def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
+    def __init__(self, parameters: mi.SceneParameters, names: dict[str, str], place: Place, source: str):
         self.place, self._parameters, self._names, self._source = place, parameters, names, source
 
     def parts(self, motion: SceneMotion, rest: Mapping[str, Array]) -> list[_Part]:
@@ -180,9 +185,7 @@ class _Tracked:
         """What a track makes of a shape's, or light's, parameters; `rest` are the vertices of a mesh."""
         key = self._key(name, "shape or light")
         if rest is not None:
-            if isinstance(track, RigidTrack):
-                return self._rigid_mesh(key, rest, track)
-            return self._deforming_mesh(name, key, self.deforming(name, rest, track))
+            return self._mesh_part(name, key, track, rest)
         if not isinstance(track, RigidTrack):
             raise self._refused(name, "it has no vertices; must have keyframes")
         # Shapes and lights without vertices.
@@ -195,34 +198,24 @@ class _Tracked:
             return lambda time: {position: (self.pose(track, time) @ [*point, 1])[:3]}
         raise self._refused(name, "it has no place that could change")
 
-    def _deforming_mesh(self, name: str, key: str, at: Callable[[float], Array]) -> _Part:
+    def _mesh_part(self, name: str, key: str, track: ShapeTrack, rest: Array) -> _Part:
+        """What a track makes of the vertices and, if it has some, the normals of a mesh."""
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
-        if not self._has_normals(key):
-            return lambda time: {positions: at(time).ravel()}
+        upright = _rows(self._parameters[normals]) if self._has(normals) else np.zeros((0, 3))
         faces = self.faces_of(name)
+        at = None if isinstance(track, RigidTrack) else self.deforming(name, rest, track)
 
         def moved(time: float) -> dict[str, Any]:
-            vertices = at(time)
-            # Mitsuba would put its own into other memory.
-            return {positions: vertices.ravel(), normals: _vertex_normals(vertices, faces).ravel()}
+            if isinstance(track, RigidTrack):
+                pose = self.pose(track, time)
+                vertices, turned = rest @ pose[:3, :3].T + pose[:3, 3], upright @ pose[:3, :3].T
+            elif at is not None:
+                vertices = at(time)
+                # Mitsuba would put its own into other memory.
+                turned = _vertex_normals(vertices, faces) if len(upright) else upright
+            return {positions: vertices.ravel(), **({normals: turned.ravel()} if len(turned) else {})}
 
         return moved
-
-    def _has_normals(self, key: str) -> bool:
-        return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
-
-    def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> _Part:
-        positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
-        upright = _rows(self._parameters[normals]) if self._has_normals(key) else None
-
-        def at(time: float) -> dict[str, Any]:
-            pose = self.pose(track, time)
-            moved = {positions: (rest @ pose[:3, :3].T + pose[:3, 3]).ravel()}
-            if upright is not None:
-                moved[normals] = (upright @ pose[:3, :3].T).ravel()
-            return moved
-
-        return at
 
     def deforming(self, name: str, rest: Array, track: Formula | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
@@ -244,8 +237,7 @@ class _Tracked:
 
         return between_meshes
 
-    def _mesh(self, name: str, file: Any, count: int) -> Array:
-        """Vertices (N, 3) of a mesh file."""
+    def _mesh(self, name: str, file: Path, count: int) -> Array:
         kind = file.suffix.lower().lstrip(".")
         if kind not in ("ply", "obj"):
             raise self._refused(name, f"{file}: must be a PLY or OBJ file")
@@ -282,24 +274,16 @@ class _Tracked:
         return at
 
 
-def _rows(values: Any, dtype: Any = np.float64) -> NDArray[Any]:
+def _rows(values: dr.ArrayBase, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """(N, 3) what a parameter is now: a copy, since its memory is written to at each time."""
     return np.reshape(values.numpy(), (-1, 3)).astype(dtype)
 
 
-def _is_textured(shape: Any) -> bool:
+def _is_textured(shape: mi.Shape) -> bool:
     """Whether colours are painted on a shape, by an image or at its vertices."""
     bsdf = shape.bsdf()
     images = bsdf is not None and any(key.endswith(".data") for key in mi.traverse(bsdf).properties)
     return images or any("_color" in key for key in mi.traverse(shape).properties)
-
-
-def _with_points(rest: Array, moved: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Vertices (V, 3) at rest and (T, V, 3) moved, with points on the faces between them."""
-    corners, shares = spread_over_faces(rest, faces, _COARSE)
-    between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
-    rest_between = np.einsum("nc,nci->ni", shares, rest[corners])
-    return np.concatenate([rest, rest_between]), np.concatenate([moved, between], axis=1)
 
 
 def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
@@ -310,12 +294,3 @@ def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     for corner in range(3):
         np.add.at(sums, faces[:, corner], of_faces)
     return unit(sums, [0.0, 0.0, 1.0])
-
-
-def _like(old: Any, value: Array) -> Any:
-    """A value in the type that a parameter has."""
-    if isinstance(value, np.ndarray) and value.shape == (4, 4):
-        return type(old)(value.tolist())
-    if len(np.ravel(value)) in (1, 3) and not isinstance(old, mi.Float):
-        return type(old)(*np.ravel(value).tolist())
-    return type(old)(np.ascontiguousarray(value, dtype=np.float32))

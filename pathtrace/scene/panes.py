@@ -27,46 +27,34 @@ _STEPS = 1e6
 _COLOURS = ("specular_reflectance", "specular_transmittance")
 
 
-def with_thin_glass(scene: Any) -> int:
+def with_thin_glass(scene: mi.Scene) -> int:
     """Makes the panes of a Mitsuba scene pass light straight on, in place; returns how many shapes are panes.
 
-    A shape is one if all its connected parts are thin slabs with parallel faces, or flat sheets, of clear
-    `dielectric` without a medium inside, or if it is of `thindielectric` already. Each face of a slab passes
-    as much light along its normal as it did, and within 3 % as much up to 60 degrees from it.
+    All connected parts of a pane are thin slabs with parallel faces, or flat sheets, of clear `dielectric`
+    without a medium inside, or it is of `thindielectric` already. Each face of a slab passes as much light
+    along its normal as it did, and within 3 % as much up to 60 degrees from it.
     """
     panes = pane_shapes(scene)
     for shape in panes:
         if not _is_thin(shape):
-            shape.set_bsdf(_thin(shape.bsdf(), pane_faces(triangles_of(shape))))
+            shape.set_bsdf(_thin(shape))
     return len(panes)
 
 
-def pane_shapes(scene: Any) -> list[Any]:
+def pane_shapes(scene: mi.Scene) -> list[Any]:
     """The shapes of a Mitsuba scene that are panes of glass, as `with_thin_glass` understands them."""
-    return [shape for shape in seen_shapes(scene) if _is_thin(shape) or _can_be_thin(shape)]
+    return [shape for shape in seen_shapes(scene) if _is_thin(shape) or _thin(shape) is not None]
 
 
-def _is_thin(shape: Any) -> bool:
-    return bool(shape.bsdf().class_name() == "ThinDielectric")
-
-
-def _can_be_thin(shape: Any) -> bool:
-    if shape.bsdf().class_name() != "SmoothDielectric" or shape.is_medium_transition():
-        return False
-    faces = pane_faces(triangles_of(shape))
-    return faces > 0 and _thin(shape.bsdf(), faces) is not None
+def _is_thin(shape: mi.Shape) -> bool:
+    return shape.bsdf().class_name() == "ThinDielectric"
 
 
 def pane_faces(triangles: Array | None) -> int:
     """Faces of each connected part of triangles (M, 3, 3), if all are panes: 2, 1 for sheets, else 0."""
     if triangles is None or not len(triangles):
         return 0
-    faces = {_part_faces(part) for part in _parts(triangles)}
-    return faces.pop() if len(faces) == 1 else 0
-
-
-def _parts(triangles: Array) -> list[Array]:
-    """The connected parts of a shape."""
+    # Connected parts share vertices.
     corners = triangles.reshape(-1, 3)
     size = np.ptp(corners, axis=0).max() or 1.0
     _, vertex = np.unique(
@@ -78,7 +66,8 @@ def _parts(triangles: Array) -> list[Array]:
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     of_triangle = label[vertex[:, 0]]
-    return [triangles[of_triangle == one] for one in np.unique(of_triangle)]
+    faces = {_part_faces(triangles[of_triangle == one]) for one in np.unique(of_triangle)}
+    return faces.pop() if len(faces) == 1 else 0
 
 
 def _part_faces(triangles: Array) -> int:
@@ -108,27 +97,23 @@ def _part_faces(triangles: Array) -> int:
     return 2 if thickness <= _THIN * smaller and outer.all() and whole else 0
 
 
-def _thin(glass: Any, faces: int) -> Any:
-    """A `thindielectric` that stands for one of the faces of a pane; None if its colour is a texture."""
-    parameters = mi.traverse(glass)
+def _thin(shape: mi.Shape) -> mi.BSDF | None:
+    """A `thindielectric` that stands for one of the faces of a pane of clear glass; None of other shapes."""
+    if shape.bsdf().class_name() != "SmoothDielectric" or shape.is_medium_transition():
+        return None
+    faces, parameters = pane_faces(triangles_of(shape)), mi.traverse(shape.bsdf())
     given = {name for name in _COLOURS if any(key.startswith(name) for key in parameters.keys())}  # noqa: SIM118
-    if any(f"{name}.value" not in parameters for name in given):
+    # Textures have no value.
+    if not faces or any(f"{name}.value" not in parameters for name in given):
         return None
     values = {name: np.ravel(np.array(parameters[f"{name}.value"])).tolist() for name in given}
     colours = {name: {"type": "rgb", "value": (value * 3)[:3]} for name, value in values.items()}
-    index = _index(float(np.ravel(parameters["eta"])[0]), faces)
+    index = float(np.ravel(parameters["eta"])[0])
+    index = max(index, 1 / index)
+    if faces == 2:
+        # A `thindielectric` stands for both faces of its pane: it reflects r = 2 R / (1 + R), where one face
+        # reflects R. For a slab, which has two of them, r must be the reflectance of one face.
+        face = ((index - 1) / (index + 1)) ** 2
+        root = float(np.sqrt(face / (2 - face)))
+        index = (1 + root) / (1 - root)
     return mi.load_dict({"type": "thindielectric", "int_ior": index, "ext_ior": 1.0, **colours})
-
-
-def _index(ratio: float, faces: int) -> float:
-    """Index of refraction of the `thindielectric` for one of the faces of a pane of a given one.
-
-    A `thindielectric` stands for both faces of its pane: it reflects r = 2 R / (1 + R), where one face
-    reflects R. For a slab, which has two of them, r must be the reflectance of one face.
-    """
-    ratio = max(ratio, 1 / ratio)
-    if faces == 1:
-        return ratio
-    face = ((ratio - 1) / (ratio + 1)) ** 2
-    root = float(np.sqrt(face / (2 - face)))
-    return (1 + root) / (1 - root)

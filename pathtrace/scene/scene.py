@@ -11,22 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
 from compose.base.errors import UserError, scene_name
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
-from pathtrace.scene.instances import InstancedScene
-from pathtrace.scene.loading import (
-    Source,
-    camera_of_sensor,
-    in_good_coordinates,
-    load_whole_parts,
-    perspective_sensor,
-)
+from pathtrace.scene.instances import AnyScene, InstancedScene
+from pathtrace.scene.loading import Source, in_good_coordinates, load_whole_parts
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
-from pathtrace.scene.optics import Optics
+from pathtrace.scene.optics import Optics, camera_of_sensor, perspective_sensor
 from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.scene_xml import (
     SceneDescription,
@@ -77,10 +70,7 @@ def xml_of(source: str | Path) -> tuple[Path, str | None]:
 
 
 def files_of_scene(source: str | Path) -> list[Path]:
-    """All files that `load_scene` reads of a scene; none of XML text.
-
-    UserError if the scene is missing or not well-formed.
-    """
+    """All files that `load_scene` reads of a scene, none of XML text; UserError if one is missing."""
     path, text = xml_of(source)
     if text is not None:
         return []
@@ -88,14 +78,11 @@ def files_of_scene(source: str | Path) -> list[Path]:
     return [*referenced_files(path), *([motion] if motion.is_file() else [])]
 
 
-def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
-    """The same Mitsuba scene with its shapes sorted by bounding box and number of primitives.
+def with_ordered_shapes(scene: mi.Scene) -> tuple[Any, dict[str, str]]:
+    """The same scene with its shapes sorted, and the new ids of its shapes and lights by the old ones.
 
-    Also returns the new ids of its shapes, and of lights that are not shapes, by their old ones.
-
-    Where Mitsuba merges meshes, the order of the merged meshes, and of the lights among them, differs each
-    time a scene is loaded: the same random number would choose another light, and the same seed give other
-    noise. Scenes with instances keep the order in which they were loaded.
+    Where Mitsuba merges meshes, their order differs each time a scene is loaded, and with it the noise of the
+    same seed. Scenes with instances keep the order in which they were loaded.
     """
     if any(shape.class_name() == "Instance" for shape in scene.shapes()):
         # Instances cannot leave the scene that holds what they repeat.
@@ -104,16 +91,10 @@ def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
     # Area lights belong to their shapes.
     emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
     parts |= {f"emitter_{number}": emitter for number, emitter in enumerate(emitters)}
-    shapes = sorted(scene.shapes(), key=_sort_key)
-    parts |= {f"shape_{number:06}": shape for number, shape in enumerate(shapes)}
+    key = lambda shape: (*shape.bbox().min, *shape.bbox().max, shape.primitive_count())  # noqa: E731
+    parts |= {f"shape_{number:06}": shape for number, shape in enumerate(sorted(scene.shapes(), key=key))}
     names = {part.id(): name for name, part in parts.items()}
     return mi.load_dict({"type": "scene", **parts}, optimize=False), names
-
-
-def _sort_key(shape: Any) -> tuple[float, ...]:
-    """Bounding box (minimum, maximum) and number of primitives of a shape."""
-    box = shape.bbox()
-    return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
 
 
 # Items of a plan that concern paths.
@@ -122,27 +103,21 @@ DEPTH, ROULETTE = "path depth", "roulette depth"
 
 @dataclass(frozen=True)
 class Scene:
-    """A loaded scene.
-
-    A scene that is very small, or far from the origin, is held in coordinates of its own
-    (pathtrace.scene.loading); those of all others are the world's, that of the scene's file.
+    """A loaded scene, in the world's coordinates, or in its own if it is very small or far from the origin.
 
     Attributes:
         name: its name in files and reports.
-        hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
-            is not the scene's own, since images at another depth show other light, and of its coordinates if
-            these are not the world's, and of thin glass.
+        hash: SHA-256 of the scene's description and every file that it names; also of path depth, coordinates
+            and thin glass if these are not the scene's own.
         mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else `own_depth`.
-        own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most; 64 in participating
-            media.
+        own_depth: path depth of the scene's file, DEFAULT_MAX_DEPTH at most; 64 in participating media.
         own_hash: `hash` at that depth.
         place: the scene's coordinates; `place.camera` converts cameras of the world to them.
         thin_glass: whether panes of glass let shadow rays pass (pathtrace.scene.panes).
         moving: what moves in it; None if nothing does.
-        roulette_depth: path depth from which on Russian roulette may end paths: the smaller, the quicker and
-            noisier are samples.
+        roulette_depth: path depth from which on Russian roulette may end paths.
         plan: what is planned for it, by name; empty if nothing is. Frames take it down.
         keeps_depth: whether its path depth was asked for, so that no plan changes it.
         optics: what its cameras see besides surfaces and their light.
@@ -170,16 +145,16 @@ class Scene:
     _surfaces: list[Surfaces] = field(default_factory=list, repr=False, compare=False)
 
     @property
-    def traced(self) -> Any:
+    def traced(self) -> AnyScene:
         """What kernels trace rays through: the Mitsuba scene, or what stands in for it."""
         return self.mitsuba if self.instanced is None else self.instanced
 
     def surfaces(self) -> Surfaces:
         """Its surfaces as they are now."""
         if self.moving is not None:
-            return Surfaces(self)
+            return Surfaces(self.traced)
         if not self._surfaces:
-            self._surfaces.append(Surfaces(self))
+            self._surfaces.append(Surfaces(self.traced))
         return self._surfaces[0]
 
     def at_depth(self, depth: int) -> Scene:
@@ -219,15 +194,13 @@ def load_scene(
     motion: Path | None = None,
     sensor: str | None = None,
 ) -> Scene:
-    """Loads a scene and checks that it can be rendered.
+    """Loads a scene and checks that it can be rendered; logs what Mitsuba would show otherwise, once.
 
-    What Mitsuba would show otherwise, such as the blur of a lens, is logged once by the logger "hybrid".
     Threads load one after the other, since Mitsuba's search folders are those of the process.
 
     Args:
         source: a bundled scene's name, the path of a Mitsuba 3 XML file or of a folder with a scene.xml, XML
-            text, whose files are relative to the working folder, or a scene dictionary as for
-            `mitsuba.load_dict`.
+            text, whose files are relative to the working folder, or a dictionary as for `mitsuba.load_dict`.
         max_depth: path depth, at least 1, instead of the scene's own.
         thin_glass: whether panes of glass pass light straight on, so that shadow rays reach lights behind
             them: with far less noise, but without the shift of what is seen through thick ones.
@@ -236,9 +209,8 @@ def load_scene(
         sensor: the id of the perspective camera to use; by default the first.
 
     Raises:
-        UserError: the scene is missing, refused by Mitsuba, has no perspective camera, none of that id or no
-            light, has no panes of the thin glass that is asked for, or is too small or too far from the
-            origin for Mitsuba and cannot be moved or scaled; or its motion is damaged, or not of this scene.
+        UserError: the scene is missing, refused by Mitsuba, has no light, camera or panes as asked for, or
+            cannot be brought to good coordinates; or its motion is damaged, or not of this scene.
     """
     with _LOADING:
         return _loaded(source, max_depth, thin_glass, motion, sensor)
@@ -251,7 +223,6 @@ def _loaded(
     motion: Path | None,
     wanted: str | None,
 ) -> Scene:
-    """As `load_scene`."""
     content, name, description, motion = _described(source, motion)
     moves = None if motion is None else read_motion(motion)
     apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
@@ -266,14 +237,15 @@ def _loaded(
         # Forests and frames of the same scene in other coordinates do not fit it.
         fingerprint = text_fingerprint(f"{fingerprint} at {place.origin} in {place.unit}")
     optics = Optics.of(loaded, sensor, camera, description.hides_emitters)
-    left_out = (
-        *(f"{wrong}; it is left out" for wrong in degenerate),
-        *_left_out(loaded, sensor, wanted, optics),
-    )
+    wrong = [f"{each}; it is left out" for each in degenerate]
+    left_out = *wrong, *_left_out(loaded, sensor, wanted, optics)
     for remark in left_out:
         _say(f"{content.name}: {remark}")
     if thin_glass:
-        _require_panes(loaded, optics, content.name)
+        why = "not where there are participating media" if optics.has_media else ""
+        if why or not with_thin_glass(loaded):
+            why = why or "the scene has no panes of glass"
+            raise UserError(f"{content.name}: thin glass: {why}; leave it out")
         fingerprint = text_fingerprint(f"{fingerprint} with thin glass")
     seen = "" if sensor is perspective_sensor(loaded, content.name) else f" by {wanted}"
     if text := optics.text + seen:
@@ -315,16 +287,7 @@ def _described(
     return content, name, description, motion
 
 
-def _require_panes(loaded: Any, optics: Optics, source: str) -> None:
-    """Makes the panes of a Mitsuba scene thin glass; UserError if it has none, or media."""
-    if optics.has_media:
-        raise UserError(f"{source}: thin glass: not where there are participating media; leave it out")
-    if not with_thin_glass(loaded):
-        raise UserError(f"{source}: thin glass: the scene has no panes of glass; leave it out")
-
-
-def _left_out(loaded: Any, sensor: Any, wanted: str | None, optics: Optics) -> Iterator[str]:
-    """What Mitsuba itself would show of a scene otherwise."""
+def _left_out(loaded: mi.Scene, sensor: mi.Sensor, wanted: str | None, optics: Optics) -> Iterator[str]:
     if len(loaded.sensors()) > 1 and wanted is None:
         yield f"{len(loaded.sensors())} cameras; {sensor.id()}, the first perspective one, is used"
     if "aperture_radius" in mi.traverse(sensor):
@@ -335,5 +298,4 @@ def _left_out(loaded: Any, sensor: Any, wanted: str | None, optics: Optics) -> I
 
 @cache
 def _say(remark: str) -> None:
-    """Logs a remark, once."""
     _LOG.info(remark)

@@ -37,8 +37,8 @@ _MOST_HASHED_BYTES = 1 << 36
 def parse_xml(path: Path, content: bytes | None = None) -> ET.Element:
     """The top element of an XML file, or of content that is to lie there.
 
-    UserError if the file cannot be read, is too large, is not well-formed, declares entities, which can stand
-    for any amount of text, or is nested too deeply for parsers that call themselves.
+    UserError if it cannot be read, is too large, not well-formed or nested too deeply, or declares entities,
+    which can stand for any amount of text.
     """
     if content is None:
         content = _content(path)
@@ -66,13 +66,13 @@ def _content(path: Path) -> bytes:
 class References:
     """What the XML of a scene, and of the files that it includes, refers to.
 
-    These are names of files in the order of the XML, parameters replaced, which may not exist, with the
-    folder of the XML that names them; folders of `<path>`, in which Mitsuba looks for them besides that and
-    the scene's; types of all elements; and the path depth that the last integrator asks for, if any, and
-    whether one of them hides lights. Of the scene's own integrators, nothing else is taken unless asked for.
+    These are names of files in their order, with the folder of the XML that names them; folders of `<path>`,
+    in which Mitsuba looks for them as well; types of all elements; and the path depth that the last
+    integrator asks for, and whether one hides lights. The scene's own integrators count for nothing else
+    unless asked for.
 
-    They are found from the scene's XML file and the elements of that. UserError if an included file is not
-    well-formed, includes form a loop or are too many, or parameters stand for too much text.
+    UserError if an included file is not well-formed, includes are too many, or parameters stand for too much
+    text.
     """
 
     def __init__(self, source: Path, root: ET.Element, with_integrator: bool = False):
@@ -80,17 +80,14 @@ class References:
         self.names: list[tuple[str, Path]] = []
         self.folders: list[Path] = []
         self.plugins: set[str] = set()
-        self.max_depth: str | None = None
+        self.max_depth = ""
         self.hides_emitters = False
         self._parameters: dict[str, str] = {}
         self._includes = 0
         self._collect(root, source.parent, 0)
 
     def candidates(self, name: str, beside: Path) -> Iterator[Path]:
-        """Files that a name in a file of a folder may stand for.
-
-        They lie in the search folders, in that folder, or in the scene's; else in the working folder.
-        """
+        """Files that a name in a file of a folder may stand for, in the order of folders to search."""
         folders = list(dict.fromkeys([*self.folders, beside, self.source.parent]))
         # Of names that no file can have, pathlib's own function raises an error.
         files = [folder / name for folder in folders if os.path.isfile(folder / name)]
@@ -101,12 +98,15 @@ class References:
         of_integrators = {part for one in root.findall("integrator") for part in one.iter()}
         for element in root.iter():
             values = {self._replaced(key): self._replaced(value) for key, value in element.items()}
+            value = values.get("value", "")
             if element in of_integrators:
-                self._ask(element.tag, values)
+                asked = element.tag, values.get("name")
+                self.max_depth = value.strip() if asked == ("integer", "max_depth") else self.max_depth
+                hides = asked == ("boolean", "hide_emitters") and value.strip().lower() == "true"
+                self.hides_emitters |= hides
                 if not (depth or self._with_integrator):
                     continue
             self.plugins.update({values["type"]} if "type" in values else ())
-            value = values.get("value", "")
             if element.tag == "default":
                 # Mitsuba keeps the first definition.
                 self._parameters.setdefault(values.get("name", ""), value)
@@ -118,14 +118,6 @@ class References:
                 self.names.append((value, folder))
             elif "filename" in values:
                 self.names.append((values["filename"], folder))
-
-    def _ask(self, tag: str, values: dict[str, str]) -> None:
-        """Takes down what a part of an integrator asks for."""
-        name, value = values.get("name"), values.get("value", "").strip()
-        if tag == "integer" and name == "max_depth":
-            self.max_depth = value
-        elif tag == "boolean" and name == "hide_emitters":
-            self.hides_emitters |= value.lower() == "true"
 
     def _include(self, name: str, folder: Path, depth: int) -> None:
         self._includes += 1
@@ -156,11 +148,7 @@ def mitsuba_folder() -> Path:
 
 
 def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
-    """Checks that no plugin of a scene, whose elements have such types, would be loaded from its own files.
-
-    UserError if a type is a path, or unknown and a file of that name lies in one of the folders in which
-    Mitsuba looks for files.
-    """
+    """UserError if a plugin of these types would be loaded from one of the folders, not Mitsuba's own."""
     own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
     searched = [folder / "plugins" for folder in (*folders, Path())]
     found = {path.stem for folder in searched if folder.is_dir() for path in folder.iterdir()}
@@ -181,9 +169,7 @@ def referenced_files(path: Path) -> list[Path]:
 def file_fingerprint(content: bytes, root: ET.Element, references: References) -> str:
     """Hash (64 hexadecimal digits) of a scene's XML and of every file that Mitsuba loads because of it.
 
-    Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
-    that only includes, search folders or parameters lead to are added, with their sizes. Those that do not
-    exist are skipped: Mitsuba reports them when it loads the scene. UserError if a file cannot be read.
+    Files that only includes, search folders or parameters lead to are added with their sizes.
     """
     digest, folder = hashlib.sha256(content), references.source.parent
     named = (e for e in root.iter("string") if e.get("name") == "filename")
@@ -214,17 +200,13 @@ def text_fingerprint(text: str) -> str:
 
 
 def dictionary_fingerprint(scene: dict[str, Any]) -> str:
-    """Hash of a scene dictionary, its printed form, and of the files and the objects that it holds.
-
-    UserError if a file cannot be read.
-    """
+    """Hash of a scene dictionary, its printed form, and of the files and the objects that it holds."""
     digest = hashlib.sha256(repr(scene).encode())
     _add_held(digest, scene)
     return digest.hexdigest()
 
 
-def _add_held(digest: hashlib._Hash, value: Any) -> None:
-    """Adds what the printed form of a value does not show."""
+def _add_held(digest: hashlib._Hash, value: object) -> None:
     if isinstance(value, dict):
         for key, part in value.items():
             file = Path(part) if key == "filename" and isinstance(part, str) else None
@@ -241,10 +223,7 @@ def _add_held(digest: hashlib._Hash, value: Any) -> None:
 
 @dataclass(frozen=True)
 class SceneDescription:
-    """A scene's XML, as a rule without its integrator, the hash of all files, and what that asks for.
-
-    That is the path depth, -1 if there is no bound, and whether lights are hidden from the camera.
-    """
+    """A scene's XML, hash of all files, path depth (-1 without bound), and whether lights are hidden."""
 
     text: str
     fingerprint: str
@@ -255,9 +234,8 @@ class SceneDescription:
 def read_description(path: Path, given: str | None = None, with_integrator: bool = False) -> SceneDescription:
     """Reads a scene's XML file, or a text that is to lie there, without its integrator by default.
 
-    Paths here have integrators of their own; scenes found elsewhere may name integrators that only their
-    author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
-    memory, or would load native code that is not Mitsuba's.
+    Scenes may name integrators that only their author has. UserError if the file is not well-formed, might
+    take unbounded memory, or would load native code that is not Mitsuba's.
     """
     content = _content(path) if given is None else given.encode()
     root = parse_xml(path, content)
@@ -272,11 +250,7 @@ def read_description(path: Path, given: str | None = None, with_integrator: bool
         if (found := path.parent / element.get("value", "")).is_dir():
             element.set("value", str(found))
     balance_xml(root)
-    text, depth = ET.tostring(root, encoding="unicode"), _depth(references.max_depth)
+    text, asked = ET.tostring(root, encoding="unicode"), references.max_depth
+    # Mitsuba's "no limit" is -1; longer numbers are none, either.
+    depth = int(asked) if re.fullmatch(r"\d{1,9}", asked) and int(asked) else -1
     return SceneDescription(text, fingerprint, depth, references.hides_emitters)
-
-
-def _depth(asked: str | None) -> int:
-    """Path depth of an integrator that asks for one; -1 is Mitsuba's "no limit"."""
-    # Longer numbers are no limit, either.
-    return int(asked) if asked and re.fullmatch(r"\d{1,9}", asked) and int(asked) > 0 else -1

@@ -51,7 +51,7 @@ def _register() -> None:
     class BalancedSunSky(mi.Emitter):  # type: ignore[misc]
         """A sun and a sky, and the share of samples that the sun gets."""
 
-        def __init__(self, properties: Any):
+        def __init__(self, properties: mi.Properties):
             super().__init__(properties)
             self.sun, self.sky = _parts(properties)
             flux = [_flux(part) for part in (self.sun, self.sky)]
@@ -60,17 +60,23 @@ def _register() -> None:
             self.m_flags = self.sky.flags()
             self.m_needs_sample_2 = True
 
-        def eval(self, surface: Any, active: Any = True) -> Any:
+        def eval(self, surface: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
             return self.sun.eval(surface, active) + self.sky.eval(surface, active)
 
-        def eval_direction(self, reference: Any, found: Any, active: Any = True) -> Any:
+        def eval_direction(
+            self, reference: mi.Interaction3f, found: mi.DirectionSample3f, active: mi.Bool | bool = True
+        ) -> mi.Color3f:
             return self.eval(_towards(found.d), active)
 
-        def pdf_direction(self, reference: Any, found: Any, active: Any = True) -> Any:
+        def pdf_direction(
+            self, reference: mi.Interaction3f, found: mi.DirectionSample3f, active: mi.Bool | bool = True
+        ) -> mi.Float:
             sun, sky = (part.pdf_direction(reference, found, active) for part in (self.sun, self.sky))
             return self.share * sun + (1 - self.share) * sky
 
-        def sample_direction(self, reference: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+        def sample_direction(
+            self, reference: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool | bool = True
+        ) -> tuple[Any, Any]:
             is_sun = sample.x < self.share
             rest = dr.select(is_sun, sample.x / self.share, (sample.x - self.share) / (1 - self.share))
             point = mi.Point2f(dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float)), sample.y)
@@ -86,7 +92,7 @@ def _register() -> None:
             radiance = self.eval(_towards(found.d), sampled)
             return found, dr.select(found.pdf > 0, radiance / found.pdf, 0)
 
-        def traverse(self, callback: Any) -> None:
+        def traverse(self, callback: mi.TraversalCallback) -> None:
             """Nothing of it can be changed: its share would not follow."""
 
         def to_string(self) -> str:
@@ -95,21 +101,17 @@ def _register() -> None:
     mi.register_emitter(PLUGIN, BalancedSunSky)
 
 
-def _parts(properties: Any) -> tuple[Any, Any]:
-    """Mitsuba's emitters of the sun alone and of the sky alone."""
+def _parts(properties: mi.Properties) -> tuple[mi.Emitter, ...]:
     shared = {name: properties[name] for name in list(properties.keys()) if name not in _OWN}
     if "to_world" in properties:
-        shared["to_world"] = mi.ScalarTransform4f(properties["to_world"].matrix)
+        to_world: Any = properties["to_world"]
+        shared["to_world"] = mi.ScalarTransform4f(to_world.matrix)
     sun, sky = (float(properties.get(name, 1.0)) for name in ("sun_scale", "sky_scale"))
-    shared["type"] = "sunsky"
-    return (
-        mi.load_dict({**shared, "sun_scale": sun, "sky_scale": 0.0}),
-        mi.load_dict({**shared, "sun_scale": 0.0, "sky_scale": sky}),
-    )
+    scales = {"sun_scale": sun, "sky_scale": 0.0}, {"sun_scale": 0.0, "sky_scale": sky}
+    return tuple(mi.load_dict({**shared, "type": "sunsky", **each}) for each in scales)
 
 
-def _flux(emitter: Any) -> float:
-    """Mean luminance of an emitter's samples: of its light, integrated over all directions."""
+def _flux(emitter: mi.Emitter) -> float:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, _PROBES)
     at = dr.zeros(mi.SurfaceInteraction3f, _PROBES)
@@ -117,7 +119,7 @@ def _flux(emitter: Any) -> float:
     return max(float(dr.mean(mi.luminance(weight))[0]), 0.0)
 
 
-def _towards(direction: Any) -> Any:
+def _towards(direction: mi.Vector3f) -> mi.SurfaceInteraction3f:
     """What a ray in N directions meets that leaves the scene."""
     surface = dr.zeros(mi.SurfaceInteraction3f)
     surface.wi = -direction

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera, sphere_directions
+from pathtrace.scene.instances import AnyScene
 
 _SPHERE_RINGS = 24
 _CIRCLE_STEPS = 48
@@ -22,11 +21,8 @@ _PROBE = 24
 _CLEARANCE_DIRECTIONS, _DIRECTIONS = 256, 96
 
 
-def triangles_of(shape: Any) -> Array | None:
-    """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported.
-
-    UserError if a face has a vertex that the shape does not have, about which Mitsuba does not care.
-    """
+def triangles_of(shape: mi.Shape) -> Array | None:
+    """(M, 3, 3) corners of a shape's triangles in the world, None if unsupported; UserError if damaged."""
     parameters = mi.traverse(shape)
     if "vertex_positions" in parameters:
         vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
@@ -37,9 +33,9 @@ def triangles_of(shape: Any) -> Array | None:
     unit = _unit_shape(shape.class_name())
     if unit is None or "to_world" not in parameters:
         return None
+    corners, triangles = unit
     matrix = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-    vertices = unit[0] @ matrix[:3, :3].T + matrix[:3, 3]
-    return vertices[unit[1]]
+    return (corners @ matrix[:3, :3].T + matrix[:3, 3])[triangles]
 
 
 def _unit_shape(kind: str) -> tuple[Array, NDArray[np.int32]] | None:
@@ -71,19 +67,18 @@ def _grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
 class Surfaces:
     """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
-    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, and what rays are traced
-    through, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; of a scene with
-    instances, curves or other shapes that are not, rays are traced by Mitsuba.
+    Without a triangle, these are inf and -inf. Analytic shapes are tessellated; of a scene with instances,
+    curves or other shapes that are not, rays are traced by Mitsuba.
     """
 
-    def __init__(self, scene: Any):
+    def __init__(self, scene: AnyScene):
         self._embree = EmbreeScene()
-        self._mitsuba: Any = None
+        self._mitsuba: AnyScene | None = None
         parts = [np.zeros((0, 3, 3))]
-        for shape in scene.mitsuba.shapes():
+        for shape in scene.shapes():
             part = triangles_of(shape)
             if part is None:
-                self._mitsuba, box = scene.traced, scene.mitsuba.bbox()
+                self._mitsuba, box = scene, scene.bbox()
                 self.bounds = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
                 return
             parts.append(part)
@@ -94,17 +89,14 @@ class Surfaces:
             TriangleMesh(self._embree, np.ascontiguousarray(corners, dtype=np.float32))
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """(N,) distance to the first surface along rays from points (N, 3) in unit directions (N, 3).
-
-        It is inf where there is none.
-        """
+        """(N,) distance to surfaces along rays from points (N, 3) in unit directions (N, 3); else inf."""
         if not len(origins):
             # Of no rays, Dr.Jit aborts the process.
             return np.zeros(0)
         if self._mitsuba is not None:
             found = self._mitsuba.ray_intersect_preliminary(_mitsuba_rays(origins, directions))
             return np.array(found.t, np.float64)
-        return _infinite_where_missed(self._run(origins, directions, query="DISTANCE"))
+        return _infinite_where_missed(self._embree.run(*_as_rays(origins, directions), query="DISTANCE"))
 
     def hits(self, origins: Array, directions: Array) -> tuple[Array, Array]:
         """`distance`, and the surfaces' unit normals (N, 3), which face the rays; 0 where there is none."""
@@ -116,16 +108,12 @@ class Surfaces:
             dr.eval(seen.t, seen.n)
             distance, normal = np.array(seen.t, np.float64), np.array(seen.n, np.float64).T
         else:
-            found = self._run(origins, directions, query="INTERSECT", output=True)
+            found = self._embree.run(*_as_rays(origins, directions), query="INTERSECT", output=True)
             distance = _infinite_where_missed(found["tfar"])
             normal = np.asarray(found["Ng"], dtype=np.float64)
         length = np.linalg.norm(normal, axis=1)
         facing = -np.sign(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
         return distance, np.where(np.isfinite(distance), facing, 0)[:, None] * normal
-
-    def _run(self, origins: Array, directions: Array, **how: Any) -> Any:
-        rays = (np.ascontiguousarray(part, dtype=np.float32) for part in (origins, directions))
-        return self._embree.run(*rays, **how)
 
     def clearances(self, points: Array, count: int = _DIRECTIONS) -> Array:
         """(N,) distance from points (N, 3) to the nearest surface in any of `count` fixed directions."""
@@ -164,12 +152,16 @@ class Surfaces:
         return float(np.median(seen)) if len(seen) else np.inf
 
 
-def _mitsuba_rays(origins: Array, directions: Array) -> Any:
-    start, way = (part.T.astype(np.float32) for part in (origins, directions))
+def _as_rays(*parts: Array) -> list[NDArray[np.float32]]:
+    return [np.ascontiguousarray(part, dtype=np.float32) for part in parts]
+
+
+def _mitsuba_rays(origins: Array, directions: Array) -> mi.Ray3f:
+    start, way = _as_rays(origins.T, directions.T)
     return mi.Ray3f(mi.Point3f(start), mi.Vector3f(way))
 
 
-def _infinite_where_missed(found: Any) -> Array:
+def _infinite_where_missed(found: Array) -> Array:
     distance = np.asarray(found, dtype=np.float64)
     # Embree marks a miss with the largest distance it was given.
     return np.where(distance >= 1e30, np.inf, distance)

@@ -20,8 +20,8 @@ from pathtrace.cache.irradiance_cache import (
     shows_lights,
 )
 from pathtrace.cache.light_selection import Lights
-from pathtrace.scene.instances import of_mitsuba
-from pathtrace.trace.sampling import LIGHT, SCATTERING, Sequences
+from pathtrace.scene.instances import AnyScene, of_mitsuba
+from pathtrace.trace.film import LIGHT, SCATTERING, Sequences
 
 # The bound on the segments of paths that have none.
 LONGEST = 1 << 30
@@ -31,44 +31,32 @@ _SURVIVAL = 0.95
 
 @dataclass(frozen=True)
 class PathSettings:
-    """How paths are traced; part of the kernel, except for depths that are opaque (mi.UInt32).
+    """How paths are traced; part of the kernel, except for depths that are opaque (mi.UInt32)."""
 
-    Attributes:
-        max_depth: number of path segments at most; below 0 for no bound.
-        roulette_depth: depth from which Russian roulette may end paths.
-        shadow_rays: at the first surface that scatters light; 1 at all others.
-        thin_glass: whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it does
-            not count as a path segment, and what lies behind it is sampled as a light and as a direction.
-        most_indirect: what indirect light of the first surface that scatters may add to a path at once, in
-            the largest of its channels; None for no bound, without which the result is unbiased.
-    """
-
-    max_depth: Any
-    roulette_depth: Any
-    shadow_rays: int
+    max_depth: int | mi.UInt32  # number of path segments at most; below 0 for no bound
+    roulette_depth: int | mi.UInt32  # depth from which Russian roulette may end paths
+    shadow_rays: int  # at the first surface that scatters light; 1 at all others
+    # Whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it is no path
+    # segment, and what lies behind it is sampled as a light and as a direction.
     thin_glass: bool = False
+    # What indirect light of the first surface that scatters may add to a path at once, in its largest
+    # channel; None for no bound, without which the result is unbiased.
     most_indirect: float | None = None
 
 
 class DepthBins:
     """Adds up luminance by the number of segments of paths, and counts segments, for groups of paths apart.
 
-    Args:
-        most: paths of more segments count as such of so many.
-        groups: G, their number.
-        group: (N,) of each path.
-
-    Attributes:
-        sums: (G * most,) luminance.
-        segments: (G,).
+    There are G groups; `group` (N,) is that of each path, and paths of more than `most` segments count as of
+    so many. Sums (G * most,) are luminance; segments (G,) are counted.
     """
 
-    def __init__(self, most: int, groups: int, group: Any) -> None:
+    def __init__(self, most: int, groups: int, group: mi.UInt32) -> None:
         self.sums = dr.zeros(mi.Float, groups * most)
         self.segments = dr.zeros(mi.UInt32, groups)
         self._most, self._group = most, group
 
-    def add(self, active: Any, *added: tuple[Any, Any]) -> None:
+    def add(self, active: mi.Bool, *added: tuple[Any, Any]) -> None:
         """Takes which of N paths have another segment, and colours with their paths' number of segments."""
         dr.scatter_add(self.segments, mi.UInt32(1), self._group, active)
         for radiance, segments in added:
@@ -79,22 +67,21 @@ class DepthBins:
 
 @dr.syntax
 def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
-    scene: Any,
-    sampler: Any,
-    ray: Any,
-    surface: Any,
-    active: Any,
+    scene: AnyScene,
+    sampler: mi.Sampler,
+    ray: mi.Ray3f,
+    surface: mi.SurfaceInteraction3f,
+    active: mi.Bool,
     settings: PathSettings,
     sequences: Sequences,
     cache: CacheArrays,
     bins: DepthBins | None = None,
-) -> Any:
+) -> mi.Color3f:
     """N linear colours: radiance along rays, as multiple importance sampling estimates it.
 
     Args:
-        scene, sampler: of Mitsuba.
+        scene, sampler, settings: of Mitsuba, and how paths are traced.
         ray, surface: N Mitsuba rays, and interactions with what they hit first, of which some are active.
-        settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
         cache: in which paths end; with one that knows no cell, the result is unbiased.
         bins: adds up what paths of each number of segments bring.
@@ -156,12 +143,12 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
     return radiance
 
 
-def _tell(bins: DepthBins | None, active: Any, *added: tuple[Any, Any]) -> None:
+def _tell(bins: DepthBins | None, active: mi.Bool, *added: tuple[Any, Any]) -> None:
     if bins is not None:
         bins.add(active, *added)
 
 
-def _bounded(settings: PathSettings, added: Any, indirect: Any) -> Any:
+def _bounded(settings: PathSettings, added: mi.Color3f, indirect: mi.Bool) -> mi.Color3f:
     """N colours that are added to paths, made darker where they are indirect light beyond the bound."""
     if settings.most_indirect is None:
         return added
@@ -169,16 +156,22 @@ def _bounded(settings: PathSettings, added: Any, indirect: Any) -> Any:
     return dr.select(indirect, added * scale, added)
 
 
-def _passes(settings: PathSettings, sample: Any) -> Any:
-    """Mask of the samples, Mitsuba's of BSDFs, that pass thin glass."""
+def _passes(settings: PathSettings, sample: mi.BSDFSample3f) -> mi.Bool:
     if settings.thin_glass:
         return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
     return mi.Bool(False)
 
 
 def _emitted(
-    scene: Any, lights: Lights, hit: Any, before: Any, row: Any, pdf: Any, specular: Any, active: Any
-) -> Any:
+    scene: AnyScene,
+    lights: Lights,
+    hit: mi.SurfaceInteraction3f,
+    before: mi.SurfaceInteraction3f,
+    row: mi.UInt32,
+    pdf: mi.Float,
+    specular: mi.Bool,
+    active: mi.Bool,
+) -> mi.Color3f:
     """Light that a surface or the sky emits, weighed against that which shadow rays found.
 
     `before` and `row` are the vertex before and its row of the choice of lights, `pdf` the density with which
@@ -192,7 +185,7 @@ def _emitted(
     return dr.select(shines, dr.select(specular, 1, weight) * emitter.eval(hit, shines), 0)
 
 
-def _step(hit: Any, ray: Any, pdf: Any) -> Any:
+def _step(hit: mi.SurfaceInteraction3f, ray: mi.Ray3f, pdf: mi.Float) -> mi.Float:
     """By how much the spread of paths grows that were scattered with a density and hit a surface.
 
     What lies within the square of the spread may be replaced by its mean (Bekaert et al. 2003).
@@ -200,7 +193,9 @@ def _step(hit: Any, ray: Any, pdf: Any) -> Any:
     return dr.sqrt(dr.square(hit.t) / dr.maximum(pdf * dr.abs(dr.dot(hit.n, ray.d)), 1e-6))
 
 
-def _roulette(sampler: Any, throughput: Any, plays: Any, active: Any) -> tuple[Any, Any]:
+def _roulette(
+    sampler: mi.Sampler, throughput: mi.Color3f, plays: mi.Bool, active: mi.Bool
+) -> tuple[Any, Any]:
     """Throughput and mask of the paths that survive Russian roulette; only some of them play it."""
     survival = dr.minimum(dr.max(throughput), _SURVIVAL)
     survives = ~plays | (sampler.next_1d(active) < survival)
@@ -210,15 +205,15 @@ def _roulette(sampler: Any, throughput: Any, plays: Any, active: Any) -> tuple[A
 @dr.syntax
 def _direct(  # noqa: PLR0913 (the state of a symbolic loop)
     lights: Lights,
-    sampler: Any,
+    sampler: mi.Sampler,
     sequences: Sequences,
-    hit: Any,
-    row: Any,
-    first: Any,
-    count: Any,
-    known: Any,
-    active: Any,
-) -> Any:
+    hit: mi.SurfaceInteraction3f,
+    row: mi.UInt32,
+    first: mi.Bool,
+    count: mi.UInt32,
+    known: mi.Bool,
+    active: mi.Bool,
+) -> mi.Color3f:
     """Light that arrives from lights directly and is reflected, by `count` (N,) shadow rays each.
 
     Where the surface is the `first` one that scatters light, the sequences say where these rays go. Where

@@ -15,7 +15,8 @@ from scipy.ndimage import maximum_filter
 
 from compose.base.errors import UserError, one_line
 from compose.image.colour import Image
-from pathtrace.scene.loading import Source, camera_of_sensor, load_mitsuba, perspective_sensor
+from pathtrace.scene.loading import Source, load_mitsuba
+from pathtrace.scene.optics import camera_of_sensor, perspective_sensor
 from pathtrace.scene.scene import Scene, xml_of
 from pathtrace.scene.scene_xml import read_description
 from pathtrace.trace.film import frame_positions
@@ -35,22 +36,14 @@ _UNBOUNDED = (1 << 32) - 1
 
 @dataclass(frozen=True)
 class Parity:
-    """How the pictures of a scene compare.
+    """How the pictures of a scene compare."""
 
-    Attributes:
-        theirs, ours: mean radiance of Mitsuba's own picture, and of the one here.
-        parts: number of parts that were compared: blocks, and the whole picture.
-        differing: number of those that differ by more than noise.
-        causes: what may make them differ besides what the scene leaves out, a line each.
-        by: what rendered their picture.
-    """
-
-    theirs: float
-    ours: float
-    parts: int
-    differing: int
-    causes: tuple[str, ...] = ()
-    by: str = "Mitsuba"
+    theirs: float  # mean radiance of Mitsuba's own picture
+    ours: float  # that of the one here
+    parts: int  # number of parts that were compared: blocks, and the whole picture
+    differing: int  # number of those that differ by more than noise
+    causes: tuple[str, ...] = ()  # what may make them differ besides what the scene leaves out, a line each
+    by: str = "Mitsuba"  # what rendered their picture
 
     @property
     def holds(self) -> bool:
@@ -61,10 +54,7 @@ class Parity:
 def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None = None) -> Parity:
     """Compares small pictures of a scene, as it was loaded from a source, with those of `mitsuba.render`.
 
-    Where Mitsuba does not have the integrator that the scene names, its `path` or `volpath` stands for that.
-
-    Raises:
-        UserError: Mitsuba cannot render the scene.
+    Where Mitsuba lacks its integrator, `path` or `volpath` stands in. UserError if it cannot render.
     """
     causes, integrator, by = list[str](), None, "Mitsuba"
     if scene.moving is not None:
@@ -78,7 +68,14 @@ def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None
         integrator = mi.load_dict({"type": kind, "hide_emitters": scene.optics.hides_emitters})
         by = f"Mitsuba's {kind}, which does not have its integrator,"
     seen_by = perspective_sensor(own, scene.name, sensor)
-    _shrink(seen_by)
+    # About _SIDE pixels along the longer side of its crop window.
+    film = mi.traverse(seen_by)
+    names = [f"film.{name}" for name in ("size", "crop_offset", "crop_size")]
+    scale = _SIDE / np.array(film[names[-1]]).max()
+    for name in names:
+        least = 0 if name.endswith("offset") else 1
+        film[name] = np.maximum(np.round(np.array(film[name]) * scale), least).astype(int).tolist()
+    film.update()
     tracer, small = Tracer(scene), scene.place.camera(camera_of_sensor(seen_by, scene.name))
     try:
         theirs = [_rendered(own, seen_by, integrator, number) for number in range(_PICTURES)]
@@ -91,7 +88,7 @@ def parity(scene: Scene, source: str | Path | dict[str, Any], sensor: str | None
     return replace(compared(np.stack(theirs), np.stack(ours)), causes=tuple(causes), by=by)
 
 
-def _causes(integrator: Any, scene: Scene) -> Iterator[str]:
+def _causes(integrator: mi.Integrator, scene: Scene) -> Iterator[str]:
     """What of a scene's own integrator is not as paths here are."""
     if integrator.class_name() not in _PATHS:
         yield f"its integrator is Mitsuba's {integrator.class_name()}, which shows other light than paths"
@@ -120,18 +117,7 @@ def _differ(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
     return (np.abs(means[0] - means[1]) > bound).any(axis=-1)
 
 
-def _shrink(sensor: Any) -> None:
-    """Gives a sensor's film, and its crop window, about _SIDE pixels along the window's longer side."""
-    film = mi.traverse(sensor)
-    names = [f"film.{name}" for name in ("size", "crop_offset", "crop_size")]
-    scale = _SIDE / np.array(film[names[-1]]).max()
-    for name in names:
-        least = 0 if name.endswith("offset") else 1
-        film[name] = np.maximum(np.round(np.array(film[name]) * scale), least).astype(int).tolist()
-    film.update()
-
-
-def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> Any:
+def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> mi.Scene:
     """The Mitsuba scene of a source, with its own integrator or with none; that of dictionaries stays."""
     if isinstance(source, dict):
         return load_mitsuba(Source("dictionary", source))
@@ -139,8 +125,10 @@ def _as_given(source: str | Path | dict[str, Any], with_integrator: bool) -> Any
     return load_mitsuba(Source(file.name, read_description(file, text, with_integrator).text, file.parent))
 
 
-def _rendered(scene: Any, sensor: Any, integrator: Any, seed: int) -> Image:
-    image = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=_SPP, seed=seed))
+def _rendered(scene: mi.Scene, sensor: mi.Sensor, integrator: mi.Integrator | None, seed: int) -> Image:
+    # By its stub, it takes no number as a seed, and no None.
+    rendered = mi.render(scene, sensor=sensor, integrator=integrator, spp=_SPP, seed=seed)  # type: ignore[arg-type]
+    image = np.array(rendered)
     colours: Image = image[..., :3] if image.shape[-1] >= 3 else np.repeat(image[..., :1], 3, axis=-1)
     return colours
 

@@ -12,12 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import LONGEST, DepthBins, PathSettings, path_radiance
-from pathtrace.trace.film import opaque_camera, ray_through
-from pathtrace.trace.sampling import Sequences, sobol_tables
+from pathtrace.trace.film import (
+    Sequences,
+    mixed_seeds,
+    opaque_camera,
+    random_numbers,
+    ray_through,
+    sobol_tables,
+)
 
 # Path depth without a bound.
 UNBOUNDED = -1
@@ -35,12 +40,9 @@ _ROW = 16
 
 @dataclass(frozen=True)
 class DepthShares:
-    """Radiance by the number of segments of paths, over all views.
+    """Radiance by the number of segments of paths, over all views."""
 
-    It is (P, D) mean luminance of each of P independent parts; of paths of 1 to D segments, the last of which
-    stands for all that are longer.
-    """
-
+    # (P, D) mean luminance of P independent parts; paths of 1 to D and more segments.
     radiance: NDArray[np.float64]
 
     @property
@@ -63,10 +65,9 @@ class DepthShares:
         return float(np.std(deviations, ddof=1) / np.sqrt(len(totals)))
 
     def depth_for(self, share: float) -> int:
-        """Least number of segments beyond which there is no more than a share of the radiance.
+        """Least number of segments beyond which there is no more than a share of the radiance, at most D.
 
-        The upper end of the measured share counts, two standard errors above its mean. Where paths of
-        MOST_SEGMENTS still bring more, that number.
+        The upper end of the measured share counts, two standard errors above its mean.
         """
         for segments in range(1, self.radiance.shape[1]):
             if self.beyond(segments) + 2 * self.error_beyond(segments) <= share:
@@ -76,20 +77,14 @@ class DepthShares:
 
 @dataclass(frozen=True)
 class PathCosts:
-    """What paths cost: their mean number of segments, without rays to lights, and their variance.
+    """What paths cost."""
 
-    That is of luminance within a view, mean over views, without the brightest paths.
-    """
-
-    segments: float
-    variance: float
+    segments: float  # mean number, without rays to lights
+    variance: float  # of luminance within a view, mean over views, without the brightest paths
 
 
 def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: int) -> DepthShares:
-    """How much paths of each length bring to what cameras see; unbiased, without a bound on their length.
-
-    Each view has a number of samples, which are spread over its frame.
-    """
+    """How much paths of each length bring to what cameras see, by a number of unbiased samples of each."""
     count = -(-samples // _PARTS)
     _, bins = _traced(scene, cameras, count, [(UNBOUNDED, _ROULETTE)] * _PARTS, seed)
     return DepthShares(bins.sums.numpy().reshape(_PARTS, MOST_SEGMENTS) / (count * len(cameras)))
@@ -118,24 +113,21 @@ def _traced(
     Also returns what the paths of each pair bring and cost. All in one launch, since with hundreds of lights
     recording one takes ten times as long as its paths.
     """
-    state = int(np.random.SeedSequence(seed).generate_state(1)[0])
-    sampler, total = mi.load_dict({"type": "independent"}), count * len(cameras) * len(depths)
-    sampler.seed(dr.opaque(mi.UInt32, state), total)
-    lane = dr.arange(mi.UInt32, total)
+    state, total = mixed_seeds(seed), count * len(cameras) * len(depths)
+    sampler, lane = random_numbers(state, total), dr.arange(mi.UInt32, total)
     group = lane // dr.opaque(mi.UInt32, count * len(cameras))
     number = lane // dr.opaque(mi.UInt32, count) - group * len(cameras)
     of = lambda kind, values, index: dr.gather(kind, kind(list(values)), index)  # noqa: E731
     x = sampler.next_1d() * of(mi.Float, (camera.width for camera in cameras), number)
     y = sampler.next_1d() * of(mi.Float, (camera.height for camera in cameras), number)
-    vectors = (dr.concat([opaque_camera(camera)[0] for camera in cameras]),)
-    ray = ray_through(vectors, x, y, number)
-    sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
+    ray = ray_through(dr.concat([opaque_camera(camera) for camera in cameras]), x, y, number)
+    sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, state))
     most, roulette = (
         of(mi.UInt32, (depth if depth >= 0 else LONGEST for depth in each), group)
         for each in zip(*depths, strict=True)
     )
     settings = PathSettings(most, roulette, 1, scene.thin_glass)
-    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
+    empty = IrradianceCache.empty(len(scene.mitsuba.emitters()))
     surface, active = scene.traced.ray_intersect(ray), mi.Bool(True)
     # As many groups for all, since their number is part of the kernel.
     bins, known = DepthBins(MOST_SEGMENTS, _PARTS, group), empty.arrays(scene.mitsuba)

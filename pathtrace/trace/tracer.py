@@ -15,13 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
-from pathtrace.scene.instances import registered
+from pathtrace.scene.instances import AnyScene, FrozenWithScenes, registered
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import FilmPositions, clipped, opaque_camera, ray_through
+from pathtrace.trace.film import (
+    Batch,
+    FilmPositions,
+    Offset,
+    SampleCounts,
+    Sequences,
+    clipped,
+    joined_channels,
+    mixed_seeds,
+    opaque_camera,
+    random_numbers,
+    ray_through,
+)
 from pathtrace.trace.first_hit import (
     AuxiliaryFeatures,
     FirstHits,
@@ -30,10 +41,8 @@ from pathtrace.trace.first_hit import (
     auxiliary_hits,
     first_hits,
     has_clear_surfaces,
+    veil,
 )
-from pathtrace.trace.frozen import FrozenWithScenes
-from pathtrace.trace.media import veil
-from pathtrace.trace.sampling import Batch, SampleCounts, Sequences, joined_channels, mixed_seeds
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
 # traced in several passes, and positions in several parts where they alone are more than that.
@@ -44,39 +53,28 @@ _BEYOND = 1.001
 _UNBENT = 1e-5
 # Shadow rays at the first surface of paths that end in a cache.
 _SHADOW_RAYS = 2
-# Of a cache without cells.
-_ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
 # With fewer samples, noise of auxiliary features shows in what they guide; each costs a twentieth of a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 
 
 @dataclass(frozen=True)
 class Traced:
-    """Radiance at N film positions: linear means, and means of its squares, three (N,) Dr.Jit floats each.
+    """Means of radiance and of its squares, three (N,) Dr.Jit floats each, and features if asked for."""
 
-    Auxiliary features are those of the same sample positions; there are none if they were not asked for.
-    """
-
-    radiance: list[Any]
-    squares: list[Any]
+    radiance: list[mi.Float]
+    squares: list[mi.Float]
     features: AuxiliaryFeatures | None = None
 
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of the rays through the centres of N film positions.
+    """First hits of the rays through the centres of N film positions."""
 
-    Attributes:
-        distance: (N,) float32, along the unit ray; inf where nothing is hit.
-        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface:
-            how far away things in a mirror appear to be; inf also for the sky in a flat mirror or behind a
-            pane.
-        shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
-    """
-
-    distance: NDArray[np.float32]
+    distance: NDArray[np.float32]  # (N,) float32, along the unit ray; inf where nothing is hit
+    # (N,) float32, the same, continued through flat mirrors and panes to the first rough surface; inf
+    # also for the sky in a flat mirror or behind a pane.
     unfolded: NDArray[np.float32]
-    shape: NDArray[np.int32]
+    shape: NDArray[np.int32]  # (N,) int32, index of the shape in the scene; -1 where nothing is hit
 
     @property
     def reflected(self) -> NDArray[np.bool_]:
@@ -97,15 +95,14 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
-    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, paths of
-    the same kind that do not end in a cache stand in for it. Where there are participating media, it is
-    `volpath`, unbiased whatever else is asked for.
+    Where thin glass lets shadow rays pass, indirect light is bounded, or the scene has instances, own paths
+    of the same kind stand in for it. Where there are participating media, it is `volpath`, always unbiased.
 
     Args:
-        scene: the scene.
+        scene: what is traced.
         roulette_depth: depth from which Russian roulette may end a path; that of the scene by default.
-        cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
-            noise, but biased. Without it, the result is unbiased.
+        cache: irradiance, in which paths end (pathtrace.trace.cached_paths): less noise in less time, but
+            biased.
         most_indirect: bound on what indirect light adds to a path at once (PathSettings), over 0: without
             fireflies, but biased.
     """
@@ -121,9 +118,8 @@ class Tracer:
         self.scene = scene
         depth, roulette = scene.max_depth, roulette_depth or scene.roulette_depth
         kind, hides = "volpath" if scene.optics.has_media else "path", scene.optics.hides_emitters
-        self._path = mi.load_dict(
-            {"type": kind, "max_depth": depth, "rr_depth": roulette, "hide_emitters": hides}
-        )
+        paths = {"type": kind, "max_depth": depth, "rr_depth": roulette, "hide_emitters": hides}
+        self._path = mi.load_dict(paths)
         self._clear, self._unseen = has_clear_surfaces(scene.mitsuba), Unseen.of(scene.mitsuba, hides)
         # What moves: the numbers by which kernels know a shape, and which samples of it have.
         moving = [] if scene.moving is None else scene.moving.movers()
@@ -134,12 +130,11 @@ class Tracer:
         shadow_rays = _SHADOW_RAYS if self._relit else 1
         if (scene.thin_glass or scene.instanced or most_indirect is not None) and not scene.optics.has_media:
             # Mitsuba's `path` has no shadow rays that pass glass, no bound, and code for each instance.
-            known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
+            known = known or IrradianceCache.empty(len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
         self._settings = PathSettings(depth, roulette, shadow_rays, scene.thin_glass, most_indirect)
-        self._trace_radiance = FrozenWithScenes(
-            self._radiance if self._known is None else self._cached_radiance
-        )
+        radiance = self._radiance if self._known is None else self._cached_radiance
+        self._trace_radiance = FrozenWithScenes(radiance)
         self._trace_auxiliary = FrozenWithScenes(self._auxiliary)
 
     def relight(self, cache: IrradianceCache) -> None:
@@ -153,11 +148,11 @@ class Tracer:
         positions: FilmPositions,
         spp: SampleCounts = 1,
         seed: int = 0,
-        offset: Any = 0,
+        offset: Offset = 0,
         pattern: int | None = None,
         features: bool = False,
     ) -> Traced:
-        """Mean radiance at each position over samples spread evenly over its box.
+        """Mean radiance at each position over samples spread evenly over its box; ValueError without samples.
 
         Args:
             camera, positions: the view, and N film positions in its coordinates.
@@ -166,10 +161,8 @@ class Tracer:
             offset: samples already drawn from each position's sequence, one number for all or N; with the
                 same pattern, new samples fill the gaps between those.
             pattern: seed of the sample positions within the boxes; by default `seed`.
-            features: whether to return the auxiliary features of what the samples hit first as well, as
-                `auxiliary` does, at less than its cost.
-
-        ValueError if no samples are asked for.
+            features: whether to return auxiliary features of the samples as well, at less than `auxiliary`
+                costs.
         """
         pattern = seed if pattern is None else pattern
         batch = Batch.of(camera, positions, spp, offset, pattern)
@@ -194,7 +187,7 @@ class Tracer:
         return traced, traced.features.averaged(more, (wanted - spp) / wanted)
 
     def auxiliary(
-        self, camera: Camera, positions: FilmPositions, spp: int, pattern: int, offset: Any = 0
+        self, camera: Camera, positions: FilmPositions, spp: int, pattern: int, offset: Offset = 0
     ) -> AuxiliaryFeatures:
         """Auxiliary features at each position.
 
@@ -214,12 +207,11 @@ class Tracer:
         return Hits(*(np.concatenate([getattr(hits, f.name) for hits in found]) for f in fields(Hits)))
 
     def _hits(self, camera: Camera, positions: FilmPositions) -> Hits:
-        """As `hits`, all positions at once."""
         x, y = positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
-        ray, start = self._rays(opaque_camera(camera), x, y)
+        ray, start = self._clipped(opaque_camera(camera), x, y)
         found = first_hits(self.scene.traced, ray, mi.Bool(True), unseen=self._unseen)
         distance = dr.select(found.surface.is_valid(), found.surface.t + start, dr.inf)
-        shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
+        shapes = mi.UInt32(dr.reinterpret_array(mi.UInt32, found.surface.shape))
         # What is seen in curved mirrors, or refracted as in the edge of a pane, moves with the viewer: it is
         # on the glass rather than as far away as the light has come.
         # Mitsuba has the direction in world space where nothing is hit, in that of the surface elsewhere.
@@ -238,10 +230,7 @@ class Tracer:
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
     def _traced(self, batch: Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
-        """Means over the samples of a batch, and what the first of each position shows, as in `_sums`.
-
-        The seeds are that of the frame, and the number of the part of it.
-        """
+        """Means over a batch's samples, and what the first shows, as `_sums`; seeds of frame and part."""
         seed, part = seeds
         sums, first = list[Any](), list[Any]()
         for number, share in enumerate(batch.passes(_MAX_LANES)):
@@ -296,70 +285,50 @@ class Tracer:
             sums = lanes.sums(sums)
         return sums, [dr.gather(mi.Float, channel, lanes.first) for channel in first]
 
-    def _radiance(
-        self, features: bool, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any
-    ) -> list[Any]:
-        """Radiance of each lane, and what it sees first; frozen."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, dr.width(x))
-        ray, _ = self._rays(camera, x, y)
+    def _radiance(self, features: bool, scene: AnyScene, state: mi.UInt32, *lanes: dr.ArrayBase) -> list[Any]:
+        """Radiance of each lane, and what it sees first; frozen, with the lanes of `Batch.rays`."""
+        ray, active = self._rays(*lanes)
+        sampler = random_numbers(state, dr.width(active))
         radiance, _, _ = self._path.sample(scene, sampler, ray, self.scene.optics.medium, active)
-        seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen) if features else None
-        return self._evaluated(scene, radiance, sampler, seen, ray, active)
+        return _evaluated(radiance, sampler, self._seen(scene, ray, active) if features else None)
 
     def _cached_radiance(
         self,
         features: bool,
-        scene: Any,
-        state: Any,
+        scene: AnyScene,
+        state: mi.UInt32,
         cache: CacheArrays,
         sequences: Sequences,
-        x: Any,
-        y: Any,
-        active: Any,
-        *camera: Any,
+        *lanes: dr.ArrayBase,
     ) -> list[Any]:
         """Radiance of each lane by paths that end in the cache, and what it sees first; frozen."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, dr.width(x))
-        ray, _ = self._rays(camera, x, y)
+        ray, active = self._rays(*lanes)
+        sampler = random_numbers(state, dr.width(active))
         seen = auxiliary_hits(scene, ray, active, self._clear and features, self._unseen)
         shown = active & seen.surface.is_valid() if self.scene.optics.hides_emitters else active
         paths = scene, sampler, ray, seen.surface, shown, self._settings, sequences, cache
-        return self._evaluated(scene, path_radiance(*paths), sampler, seen if features else None, ray, active)
+        radiance = path_radiance(*paths)
+        return _evaluated(radiance, sampler, self._seen(scene, ray, active, seen) if features else None)
 
-    def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
-        """Auxiliary features of each lane; frozen."""
-        ray, _ = self._rays(camera, x, y)
-        seen = auxiliary_hits(scene, ray, active, self._clear, self._unseen)
-        features = self._seen(scene, seen, ray, active)
+    def _auxiliary(self, scene: AnyScene, *lanes: dr.ArrayBase) -> AuxiliaryFeatures:
+        features = self._seen(scene, *self._rays(*lanes))
         dr.eval(features)
         return features
 
-    def _rays(self, camera: tuple[Any, ...], x: Any, y: Any) -> tuple[Any, Any]:
+    def _rays(self, x: mi.Float, y: mi.Float, active: mi.Bool, camera: mi.Float) -> tuple[mi.Ray3f, mi.Bool]:
+        ray, _ = self._clipped(camera, x, y)
+        return ray, active
+
+    def _clipped(self, camera: mi.Float, x: mi.Float, y: mi.Float) -> tuple[mi.Ray3f, mi.Float]:
         """Rays through film coordinates between the clipping planes, and how far from the eye they start."""
-        ray = ray_through(camera, x, y)
-        if self.scene.optics.clips is None:
-            return ray, mi.Float(0)
-        return clipped(ray, camera, self.scene.optics.clips)
+        ray, clips = ray_through(camera, x, y), self.scene.optics.clips
+        return (ray, mi.Float(0)) if clips is None else clipped(ray, camera, clips)
 
-    def _evaluated(
-        self, scene: Any, radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any
-    ) -> list[Any]:
-        """Three channels of radiance and, of what was seen, those of auxiliary features; computed."""
-        # A sample that is not finite counts as black: it would spoil its pixel's mean.
-        radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
-        # Without this evaluation, every later step would trace its own paths: three to four times the work.
-        sampler.schedule_state()
-        channels = list(radiance)
-        if seen is not None:
-            features = self._seen(scene, seen, ray, active)
-            channels += [*features.albedo, *features.normal, *features.of_first]
-        dr.eval(channels)
-        return channels
-
-    def _seen(self, scene: Any, hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
+    def _seen(
+        self, scene: AnyScene, ray: mi.Ray3f, active: mi.Bool, hits: FirstHits | None = None
+    ) -> AuxiliaryFeatures:
         """Auxiliary features; albedo and normal that are not finite, as of damaged textures, count as 0."""
+        hits = hits or auxiliary_hits(scene, ray, active, self._clear, self._unseen)
         found = auxiliary_features(hits, ray, active, self._movers)
         if self.scene.optics.has_media:
             found = veil(scene, ray, self.scene.optics.medium, active).over(found, ray)
@@ -370,7 +339,20 @@ class Tracer:
         return replace(found, albedo=albedo, normal=normal)
 
 
-def _added(sums: list[Any], channels: list[Any], *others: Any) -> list[Any]:
+def _evaluated(radiance: mi.Color3f, sampler: mi.Sampler, seen: AuxiliaryFeatures | None) -> list[Any]:
+    """Three channels of radiance and those of auxiliary features, if there are any; computed."""
+    # A sample that is not finite counts as black: it would spoil its pixel's mean.
+    radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
+    # Without this evaluation, every later step would trace its own paths: three to four times the work.
+    sampler.schedule_state()
+    channels = list(radiance)
+    if seen is not None:
+        channels += [*seen.albedo, *seen.normal, *seen.of_first]
+    dr.eval(channels)
+    return channels
+
+
+def _added(sums: list[Any], channels: list[Any], *others: object) -> list[Any]:
     """Channels added to sums, if there are any, in one kernel with others."""
     if not sums:
         return channels

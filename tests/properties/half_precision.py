@@ -22,8 +22,8 @@ from compose.fusion.parents import Parents
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, render_frame, write_frame
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.trace.denoise import denoise
 from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.traced_images import denoise
 from pathtrace.trace.tracer import Tracer
 from splat.model.gaussians import Gaussians
 from splat.training.initialization import seed_from_views

@@ -17,7 +17,7 @@ from hybrid.render.disc_images import parents_of
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.denoise import denoise
+from pathtrace.trace.traced_images import denoise
 from splat.model.forest import Forest
 from tests import small
 from tests.extremes import extreme

@@ -21,7 +21,6 @@ from hybrid.evaluation.integrator_bench import (
     relative_errors,
 )
 from hybrid.render import irradiance
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
@@ -110,7 +109,7 @@ class Clock:
 
 
 def nothing_known() -> IrradianceCache:
-    return IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 1)
+    return IrradianceCache.empty(1)
 
 
 @pytest.fixture(scope="module")

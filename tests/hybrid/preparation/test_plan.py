@@ -24,9 +24,8 @@ from hybrid.preparation.decisions import (
 from hybrid.preparation.gaussian_count import gaussians_decision
 from hybrid.preparation.scene_look import Look, look_at_scene, traced_halves
 from hybrid.preparation.scene_plan import plan_of
-from pathtrace.region.viewing_regions import region_of
+from pathtrace.region import region_of
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.path_depths import UNBOUNDED
 from pathtrace.trace.traced_images import TracedImage, trace_image
@@ -196,7 +195,7 @@ def test_where_no_surface_is_seen_a_scene_takes_few_gaussians():
 
 def test_a_scene_that_moves_is_looked_at_at_several_times(backend, tmp_path):
     scene = moving_corner(tmp_path)
-    surfaces = Surfaces(scene)
+    surfaces = scene.surfaces()
     near = region_of(scene, surfaces, "near")
     found = look_at_scene(scene, surfaces, near, 0)
     assert len({view.time for view in found.views}) == len(found.views)

@@ -10,9 +10,8 @@ from hybrid.preparation.gaussian_count import breadth_of
 from hybrid.preparation.stage_frames import stage_views, stated_error, wanted_of
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.growing import GrowingFrames, Wanted
-from pathtrace.region.viewing_regions import region_of
+from pathtrace.region import region_of
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.tracer import Tracer
 from tests import small
 
@@ -29,11 +28,11 @@ def scene(backend) -> Scene:
 
 @pytest.fixture(scope="module")
 def region(scene):
-    return region_of(scene, Surfaces(scene), "near")
+    return region_of(scene, scene.surfaces(), "near")
 
 
 def test_the_default_region_is_as_broad_as_itself(scene, region):
-    assert breadth_of(region, Surfaces(scene), 0) == 1.0
+    assert breadth_of(region, scene.surfaces(), 0) == 1.0
 
 
 def test_views_of_earlier_stages_come_first_and_stay(region):

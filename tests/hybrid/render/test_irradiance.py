@@ -18,7 +18,7 @@ from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.transport import Transfer
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from tests import small
 from tests.compose.arrays_of import host
 
@@ -246,7 +246,7 @@ def test_a_damaged_file_is_replaced(cache, tmp_path, damage):
 
 
 def test_an_empty_cache_goes_through_a_file(cache, tmp_path):
-    empty = IrradianceCache.empty(cache.cells.grid, 1)
+    empty = IrradianceCache.empty(1)
     stored_cache(tmp_path / "a.safetensors", lambda: empty)
     assert_same(stored_cache(tmp_path / "a.safetensors", never), empty)
 

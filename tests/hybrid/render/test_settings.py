@@ -14,7 +14,7 @@ from compose.eye.display import DISPLAYS, Display
 from compose.eye.gaze import Gaze, eccentricity
 from compose.fovea.foveation import FoveaMode, Foveation, Placement
 from hybrid.render.frame_settings import DEFAULTS, EVALUATION, INTERACTIVE, SWEEP, FrameSettings
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 
 CAMERA = Camera(np.eye(4), 640, 480, 500.0, 500.0, 320.0, 240.0)
 # Each field with a value that is not its default.

@@ -31,7 +31,7 @@ def floor(backend) -> IrradianceCache:
     return IrradianceCache(
         cells,
         np.repeat(values[..., None], 3, axis=2).astype(np.float32),
-        IrradianceCache.empty(grid, 1).lights,
+        IrradianceCache.empty(1).lights,
         Transfer.none(),
     )
 
@@ -135,7 +135,7 @@ def test_memory_counts_the_table_and_the_values(floor):
 
 def test_an_empty_cache_answers_nobody():
     points = queries(10)
-    assert not asked(IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3), points, 1e6)[0].any()
+    assert not asked(IrradianceCache.empty(3), points, 1e6)[0].any()
 
 
 def test_a_cell_answers_for_a_neighbour_that_is_not_known(floor):

@@ -45,8 +45,7 @@ def test_new_light_has_arrived_after_the_steps(transport, most, steps):
 def test_a_restart_begins_with_the_first_segment(transport):
     spreading = Spreading(transport, light(1), 4)
     spreading.step()
-    spreading.light(light(2))
-    spreading.restart()
+    spreading.light(light(2), restart=True)
     for _ in range(spreading.steps):
         spreading.step()
     expected = transport.irradiance(light(2), 4)

@@ -17,7 +17,6 @@ from pathtrace.dataset.frame_set import CaptureSettings, read_frame_set
 from pathtrace.fill.filling import fill_cache
 from pathtrace.region.neighbourhood import choose_views
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.extremes import extreme
 from tests.placed import placed
@@ -166,7 +165,7 @@ def test_scenes_without_a_visible_surface_are_refused(make, tmp_path, got):
 def test_views_overlap_in_any_field_of_view(fov, got):
     """Share of what the scene's own camera sees that a view sees as well, on the wall behind all things."""
     scene = load_scene(seen_with(fov))
-    views = choose_views(scene, Surfaces(scene), 24, 24, 24, seed=0)
+    views = choose_views(scene, scene.surfaces(), 24, 24, 24, seed=0)
     home = views.fixed[0]
     rays = home.rays(home.pixel_centres())
     points = home.position + rays * ((2 - home.position[2]) / rays[:, 2])[:, None]
@@ -194,8 +193,8 @@ def test_views_overlap_in_any_field_of_view(fov, got):
 )
 def test_views_of_any_size_and_place_are_the_same(scale, offset, got):
     ordinary, scene = load_scene(small.corner()), load_scene(placed(small.corner(), scale, offset))
-    expected = choose_views(ordinary, Surfaces(ordinary), 20, 24, 24, seed=3)
-    found = choose_views(scene, Surfaces(scene), 20, 24, 24, seed=3)
+    expected = choose_views(ordinary, ordinary.surfaces(), 20, 24, 24, seed=3)
+    found = choose_views(scene, scene.surfaces(), 20, 24, 24, seed=3)
     worst = 0.0
     for one, other in zip(expected.fixed + expected.spread, found.fixed + found.spread, strict=True):
         position = (scene.place.in_world(other.position[None])[0] - offset) / scale

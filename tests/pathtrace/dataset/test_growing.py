@@ -15,7 +15,7 @@ from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.extremes import extreme

@@ -10,7 +10,6 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.region.neighbourhood import Neighbourhood, monocular_views
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.moving import moving_corner
 
@@ -30,7 +29,7 @@ def ball(scale: float) -> Scene:
 
 def test_the_camera_goes_around_and_looks_at_the_same(backend):
     scene = ball(1.0)
-    views = monocular_views(scene, Surfaces(scene), 33, 32, 32)
+    views = monocular_views(scene, scene.surfaces(), 33, 32, 32)
     assert not views.fixed
     assert views.times == [0.0] * 33
     positions = np.stack([view.position for view in views.spread])
@@ -49,7 +48,7 @@ def test_the_camera_goes_around_and_looks_at_the_same(backend):
 def test_it_goes_as_far_as_there_is_space(monkeypatch):
     """Where few places are usable it goes less far, and where none are it stands still."""
     scene = ball(1.0)
-    surfaces, home = Surfaces(scene), scene.camera.position
+    surfaces, home = scene.surfaces(), scene.camera.position
     ways = []
     for most in (1.0, 0.1, 0.0):
         monkeypatch.setattr(

@@ -7,7 +7,7 @@ import pytest
 
 from pathtrace.dataset.captured_frames import render_estimates, render_frame, render_with_halves
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.denoise import denoise
+from pathtrace.trace.traced_images import denoise
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

@@ -15,7 +15,7 @@ from pathtrace.dataset.capture import describe_capture, write_description
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.region.neighbourhood import ViewSet
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace import Integrator
 
 SETTINGS = CaptureSettings(views=6, held_out=4, width=32, height=24, spp=2, held_out_spp=16, seed=5)
 

@@ -24,7 +24,7 @@ def ball(backend) -> tuple[Scene, Surfaces]:
     description = small.furnace()
     description["sensor"]["to_world"] = look
     scene = load_scene(description)
-    return scene, Surfaces(scene)
+    return scene, scene.surfaces()
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +35,13 @@ def screened(backend) -> tuple[Scene, Surfaces]:
     description["sensor"]["to_world"] = look
     screen = mi.ScalarTransform4f().translate([0.12, 0, -0.12]).rotate([0, 1, 0], 135).scale(0.1)
     scene = load_scene({**description, "screen": {"type": "rectangle", "to_world": screen}})
-    return scene, Surfaces(scene)
+    return scene, scene.surfaces()
 
 
 @pytest.fixture(scope="module")
 def room(backend) -> tuple[Scene, Surfaces]:
     scene = load_scene("room")
-    return scene, Surfaces(scene)
+    return scene, scene.surfaces()
 
 
 def keys(views: list[Camera]) -> list[bytes]:
@@ -166,4 +166,4 @@ def test_views_full_of_near_surfaces_are_refused(ball, monkeypatch):
 def test_a_camera_that_sees_nothing_is_refused():
     scene = load_scene({"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}})
     with pytest.raises(UserError, match="the scene's own camera sees no surface"):
-        choose_views(scene, Surfaces(scene), 4, 16, 16, seed=0)
+        choose_views(scene, scene.surfaces(), 4, 16, 16, seed=0)

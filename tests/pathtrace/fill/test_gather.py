@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Points
+from pathtrace.fill.filling import even_squares
 from pathtrace.fill.gather import SAMPLES, Seen, gather_direct, gather_seen
-from pathtrace.fill.guiding import even_squares
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Cells, Grid, Points
+from pathtrace.fill.filling import GuidedPlaces, shuffled
 from pathtrace.fill.gather import Seen
-from pathtrace.fill.guiding import GuidedPlaces, shuffled
 from tests import small
 
 COUNT, RAYS = 50, 4

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pathtrace.gltf.movement import is_rigid, keyframes_of, without_scale
-from pathtrace.scene.tracks import RigidTrack
+from pathtrace.scene.motion_file import RigidTrack
 from tests.pathtrace.gltf.building import BOX
 
 TIMES = np.linspace(0, 1, 97)

@@ -26,7 +26,7 @@ def coarse():
 def joined(backend) -> tuple[Scene, Surfaces]:
     """Two rooms with a door between them."""
     scene = load_scene(boxes.rooms(1.2))
-    return scene, Surfaces(scene)
+    return scene, scene.surfaces()
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ def wall(backend) -> Surfaces:
         "screen": {"type": "rectangle", "to_world": placed},
         "lamp": {"type": "point", "position": [0, 0, 5]},
     }
-    return Surfaces(load_scene(description))
+    return load_scene(description).surfaces()
 
 
 def at(position: list[float], target: list[float], size: int = 32) -> Camera:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.region.viewing_regions import region_of
+from pathtrace.region import region_of
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.extremes import extreme
 from tests.pathtrace.region import boxes
@@ -27,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("backend")
 def test_a_pipe_without_space_is_refused(got):
     scene = load_scene(boxes.pipe())
     with pytest.raises(UserError, match="no free space around the scene's own camera for a viewer") as caught:
-        region_of(scene, Surfaces(scene), "reachable")
+        region_of(scene, scene.surfaces(), "reachable")
     assert "\n" not in got(str(caught.value))
 
 
@@ -37,7 +36,7 @@ def test_a_pipe_without_space_is_refused(got):
 def test_a_camera_that_sees_nothing_is_refused(got):
     scene = load_scene({"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}})
     with pytest.raises(UserError, match="the scene's own camera sees no surface") as caught:
-        region_of(scene, Surfaces(scene), "reachable")
+        region_of(scene, scene.surfaces(), "reachable")
     assert "\n" not in got(str(caught.value))
 
 
@@ -48,7 +47,7 @@ def test_a_camera_that_sees_nothing_is_refused(got):
 )
 def test_a_region_in_the_open_ends(got):
     scene = load_scene(boxes.plain())
-    region = region_of(scene, Surfaces(scene), "reachable")
+    region = region_of(scene, scene.surfaces(), "reachable")
     points = region.space.nodes - scene.camera.position
     assert got(float(np.linalg.norm(points, axis=1).max()), ".1f") < 10
     assert np.linalg.norm(points, axis=1).max() > 1
@@ -90,7 +89,7 @@ def test_a_path_of_one_pose_is_a_ball(joined, tmp_path, got):
 )
 def test_regions_of_any_size_are_the_same(scale, reachable, got):
     scene = load_scene(placed(boxes.rooms(1.2), scale, 0.0))
-    region = region_of(scene, Surfaces(scene), "reachable")
+    region = region_of(scene, scene.surfaces(), "reachable")
     assert got(len(region.space.nodes) / len(reachable.space.nodes), ".3f") == pytest.approx(1, abs=0.03)
     low, high = (scene.place.in_world(end[None])[0] / scale for end in _ends(region.space.nodes))
     expected = _ends(reachable.space.nodes)

@@ -7,7 +7,6 @@ import pytest
 
 from pathtrace.region.reachable import FreeSpace, ReachableRegion
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.triangles import Surfaces
 from tests.pathtrace.region import boxes
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -15,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("backend")
 
 def space_of(description: dict) -> FreeSpace:
     scene = load_scene(description)
-    return FreeSpace(scene, Surfaces(scene))
+    return FreeSpace(scene, scene.surfaces())
 
 
 def test_a_room_is_filled_to_its_corners(reachable):

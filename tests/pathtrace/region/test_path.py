@@ -9,7 +9,7 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.camera.coordinate_systems import opengl_from_opencv
-from pathtrace.region.viewing_regions import region_of
+from pathtrace.region import region_of
 
 pytestmark = pytest.mark.usefixtures("backend")
 THROUGH_THE_DOOR = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.region.looks import looks_of, turned_about, upright, widened
+from pathtrace.region import region_of
 from pathtrace.region.view_coverage import ViewCoverage
-from pathtrace.region.viewing_regions import region_of
+from pathtrace.region.view_selection import looks_of, turned_about, upright, widened
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

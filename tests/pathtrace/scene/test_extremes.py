@@ -13,7 +13,6 @@ from compose.base.errors import UserError
 from compose.camera.camera import camera_from_pose
 from compose.camera.coordinate_systems import WORLD, opencv_from_mitsuba
 from pathtrace.scene.scene import Scene, bundled_scenes, load_scene
-from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.extremes import extreme
 from tests.placed import placed
@@ -35,7 +34,7 @@ def picture(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     sensor = scene.mitsuba.sensors()[0]
     path = mi.load_dict({"type": "path", "max_depth": 4})
     image = np.array(mi.render(scene.mitsuba, sensor=sensor, integrator=path, spp=16, seed=1))
-    return image, Surfaces(scene).probe(scene.camera) * scene.place.unit
+    return image, scene.surfaces().probe(scene.camera) * scene.place.unit
 
 
 @cache
@@ -196,4 +195,4 @@ def test_a_sky_alone_loads_anywhere(got):
     scene = load_scene(
         placed({"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}, 1.0, 1e6)
     )
-    assert got(Surfaces(scene).median_distance(scene.camera)) == np.inf
+    assert got(scene.surfaces().median_distance(scene.camera)) == np.inf

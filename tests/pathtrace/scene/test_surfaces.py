@@ -21,7 +21,7 @@ TESSELLATION = 0.01
 @pytest.fixture(scope="module")
 def ball(backend) -> Surfaces:
     """Inside a sphere of radius 3."""
-    return Surfaces(load_scene(small.furnace()))
+    return load_scene(small.furnace()).surfaces()
 
 
 def facing_wall(width: float) -> dict:
@@ -46,7 +46,7 @@ def test_distances_in_a_ball(ball):
 
 
 def test_rays_that_hit_nothing_are_infinite():
-    surfaces = Surfaces(load_scene(facing_wall(4.0)))
+    surfaces = load_scene(facing_wall(4.0)).surfaces()
     directions = np.array([[0.0, 0, 1], [0.0, 0, -1], [-0.6, 0, 0.8]])
     found = surfaces.distance(np.array([[1.0, 0, 0]] * 3), directions)
     np.testing.assert_allclose(found, [4, np.inf, np.inf])
@@ -63,7 +63,7 @@ def test_visibility_ends_at_surfaces(ball):
     assert not ball.sees(np.zeros(3), np.array([4.0, 0, 0]))
     assert not ball.sees(np.array([4.0, 0, 0]), np.zeros(3))
     assert ball.sees(np.ones(3), np.ones(3))
-    wall = Surfaces(load_scene(facing_wall(4.0)))
+    wall = load_scene(facing_wall(4.0)).surfaces()
     assert wall.sees(np.zeros(3), np.array([1.0, 0, 3.9]))
     assert not wall.sees(np.zeros(3), np.array([1.0, 0, 4.1]))
 
@@ -73,14 +73,14 @@ def test_embree_agrees_with_mitsuba_in_the_room():
     camera = scene.camera.resized(64, 64)
     expected = Tracer(scene).hits(camera, frame_positions(camera)).distance
     rays = camera.rays(camera.pixel_centres())
-    found = Surfaces(scene).distance(np.repeat(camera.position[None], len(rays), axis=0), rays)
+    found = scene.surfaces().distance(np.repeat(camera.position[None], len(rays), axis=0), rays)
     assert np.mean(np.isclose(found, expected, rtol=1e-3)) > 0.995
 
 
 def test_the_median_distance_is_that_of_what_is_seen():
     """A wall at depth 4 on the right, nothing on the left: rays to it are 4 to 4 sqrt(3) long."""
     scene = load_scene(facing_wall(100.0))
-    surfaces = Surfaces(scene)
+    surfaces = scene.surfaces()
     distance = surfaces.probe(scene.camera).reshape(24, 24)
     seen = np.isfinite(distance)
     assert (seen.sum(axis=1) == 12).all()
@@ -94,11 +94,11 @@ def test_the_median_distance_is_that_of_what_is_seen():
 
 def test_a_camera_that_sees_nothing_has_no_median_distance():
     scene = load_scene({**facing_wall(4.0), "wall": {"type": "sphere", "center": [0, 0, -9]}})
-    assert Surfaces(scene).median_distance(scene.camera) == np.inf
+    assert scene.surfaces().median_distance(scene.camera) == np.inf
 
 
 def test_hits_have_normals_that_face_the_ray():
-    surfaces = Surfaces(load_scene(facing_wall(4.0)))
+    surfaces = load_scene(facing_wall(4.0)).surfaces()
     np.testing.assert_allclose(surfaces.bounds, [[0, -100, 4], [4, 100, 4]], atol=1e-4)
     origins = np.array([[1.0, 0, 0], [1.0, 0, 9], [1.0, 0, 0]])
     distance, normal = surfaces.hits(origins, np.array([[0.0, 0, 1], [0, 0, -1], [0, 0, -1]]))
@@ -122,7 +122,7 @@ def test_many_points_are_as_one(ball):
 def test_a_scene_without_triangles_is_empty(tmp_path):
     (tmp_path / "hair.txt").write_text("\n".join(f"{i} 0 0 0.1" for i in range(5)))
     curve = {"type": "bsplinecurve", "filename": str(tmp_path / "hair.txt")}
-    surfaces = Surfaces(load_scene({**facing_wall(4.0), "wall": curve}))
+    surfaces = load_scene({**facing_wall(4.0), "wall": curve}).surfaces()
 
     assert surfaces.clearance(np.zeros(3)) == np.inf
 
@@ -149,7 +149,7 @@ def test_of_instances_and_curves_mitsuba_says_what_is_hit(tmp_path):
         "copy": {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": right},
         "curve": {"type": "bsplinecurve", "filename": str(tmp_path / "curve.txt")},
     }
-    surfaces = Surfaces(load_scene(scene))
+    surfaces = load_scene(scene).surfaces()
     origins = np.array([[3.0, 0, 0], [-3.0, 0.5, 0], [0.0, 0, 0]])
     distance, normal = surfaces.hits(origins, np.tile([0.0, 0, 1], (3, 1)))
     np.testing.assert_allclose(distance, [3, 3.5, np.inf], atol=1e-3)

@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import frame_positions, interleaved, opaque_camera, ray_through
-from pathtrace.trace.sampling import Sequences, sobol_tables
+from pathtrace.trace.film import (
+    Sequences,
+    frame_positions,
+    interleaved,
+    opaque_camera,
+    ray_through,
+    sobol_tables,
+)
 from pathtrace.trace.tracer import Tracer
 from tests import small
 
@@ -98,7 +103,7 @@ def truth(scene, camera: Camera, spp: int, depth: int) -> tuple[float, float]:
 @pytest.mark.parametrize(("depth", "shadow_rays"), [(2, 3), (5, 1), (5, 3)])
 def test_without_cells_the_mean_is_that_of_mitsubas_paths(all_materials, ball, depth, shadow_rays):
     camera = camera_at(all_materials, ball)
-    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
+    empty = IrradianceCache.empty(3)
     found = samples(all_materials, PathSettings(depth, 3, shadow_rays), empty, 1 << 17, camera)
     # Means over the 16 samples of a sequence are independent of each other.
     groups = found.mean(axis=1).reshape(-1, 16).mean(axis=1)
@@ -109,7 +114,7 @@ def test_without_cells_the_mean_is_that_of_mitsubas_paths(all_materials, ball, d
 def test_depth_below_0_is_no_bound():
     """In a furnace, radiance is 1 if no path is cut."""
     scene = load_scene(small.furnace(0.8))
-    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 1)
+    empty = IrradianceCache.empty(1)
     found = samples(scene, PathSettings(-1, 5, 1), empty, 1 << 14)
     assert found.mean() == pytest.approx(1, abs=0.01)
     cut = samples(scene, PathSettings(4, 5, 1), empty, 1 << 14)
@@ -119,7 +124,7 @@ def test_depth_below_0_is_no_bound():
 @pytest.mark.parametrize("ball", MATERIALS)
 def test_with_a_cache_the_mean_hardly_changes_and_noise_falls(all_materials, filled, ball):
     camera = camera_at(all_materials, ball)
-    empty = IrradianceCache.empty(filled.cells.grid, 3)
+    empty = IrradianceCache.empty(3)
     settings = PathSettings(8, 5, 2)
     cached, traced = (samples(all_materials, settings, each, 1 << 16, camera) for each in (filled, empty))
     mean, error = truth(all_materials, camera, 40, 8)
@@ -137,7 +142,7 @@ def test_a_furnace_stays_at_its_radiance(reflectance):
 
 def test_more_shadow_rays_mean_less_noise():
     scene = load_scene(room({"diffuse": MATERIALS["diffuse"]}))
-    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
+    empty = IrradianceCache.empty(3)
     one, four = (samples(scene, PathSettings(2, 5, rays), empty, 1 << 15).var() for rays in (1, 4))
     assert four < 0.6 * one
 
@@ -158,14 +163,14 @@ def lit_by_a_caustic() -> dict:
 
 def test_a_bound_that_nothing_exceeds_changes_nothing():
     scene = load_scene(room({"diffuse": MATERIALS["diffuse"]}))
-    cache = IrradianceCache.empty(Grid(np.zeros(3, np.float32), 1.0), len(scene.mitsuba.emitters()))
+    cache = IrradianceCache.empty(len(scene.mitsuba.emitters()))
     free = samples(scene, PathSettings(6, 5, 1), cache, 4096)
     np.testing.assert_array_equal(samples(scene, PathSettings(6, 5, 1, False, 1e6), cache, 4096), free)
 
 
 def test_a_bound_holds_for_each_contribution_and_removes_fireflies():
     scene = load_scene(lit_by_a_caustic())
-    cache = IrradianceCache.empty(Grid(np.zeros(3, np.float32), 1.0), len(scene.mitsuba.emitters()))
+    cache = IrradianceCache.empty(len(scene.mitsuba.emitters()))
     # The tracer counts the few samples that are not finite as black.
     free, bounded = (
         np.nan_to_num(samples(scene, PathSettings(6, 9, 1, False, most), cache, 1 << 18), posinf=0)

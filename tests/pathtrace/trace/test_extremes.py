@@ -11,8 +11,7 @@ import pytest
 from compose.base.errors import UserError
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace import tracer as module
-from pathtrace.trace.film import box_positions, frame_positions, interleaved, pixel_positions
-from pathtrace.trace.sampling import Lanes
+from pathtrace.trace.film import Lanes, box_positions, frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import AuxiliaryFeatures, Tracer
 from tests import small
 from tests.extremes import extreme

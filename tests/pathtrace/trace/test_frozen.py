@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import pytest
 
-from pathtrace.trace.frozen import FrozenWithScenes
+from pathtrace.scene.instances import FrozenWithScenes
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -209,7 +209,7 @@ import gc, sys, threading
 from pathtrace.scene.backend import select_backend
 select_backend("llvm")
 import drjit as dr, mitsuba as mi
-from pathtrace.trace.frozen import FrozenWithScenes
+from pathtrace.scene.instances import FrozenWithScenes
 from tests import small
 """
 
