@@ -10,7 +10,6 @@ from types import FrameType
 
 import pytest
 
-from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from tests.test_imports import ROOT, rows_below
 
