@@ -26,7 +26,7 @@ import hybrid
 from benchmarks import parser_of, report
 from compose.eye.gaze import Gaze
 from hybrid.base.progress import no_progress
-from hybrid.preparation.held_out import Judges
+from hybrid.preparation.forest_errors import Judges
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.frame_source import FrameSource, prepared
 from hybrid.window.learning import ShownScene

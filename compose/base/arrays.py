@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import import_module
 from types import ModuleType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import drjit as dr
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt
 
 BackendName = Literal["llvm", "cuda"]
 _NUMPY = {dr.VarType.UInt32: np.uint32, dr.VarType.Float32: np.float32, dr.VarType.Float64: np.float64}
@@ -22,6 +25,7 @@ _ALIGNMENT = 64
 ALIGNED_FLOATS = _ALIGNMENT // 4
 # From so many keys per bucket on, sorting by one large digit is quicker than by two small ones.
 _KEYS_PER_BUCKET = 4
+_Array = TypeVar("_Array", bound=dr.ArrayBase)
 
 
 @dataclass(frozen=True)
@@ -36,57 +40,58 @@ class Arrays:
         return import_module(f"drjit.{self.backend}")
 
     @property
-    def ad(self) -> Any:
+    def ad(self) -> ModuleType:
         """Types with derivatives."""
-        return self.plain.ad
+        return import_module(f"drjit.{self.backend}.ad")
 
     @property
     def device(self) -> torch.device:
         """Where torch's tensors share memory with the arrays; the host if torch has no CUDA."""
         return torch.device("cuda" if self.backend == "cuda" and torch.cuda.is_available() else "cpu")
 
-    def constant(self, value: int) -> Any:
-        """UInt of width 1 that kernels read from memory: the same kernel serves every value.
+    def constant(self, value: int) -> UInt:
+        """UInt of width 1, cached, that kernels read from memory: a literal would be compiled into them.
 
-        A literal would be compiled into the kernel. Use this for everything that depends on the size of a
-        frame, the gaze or the camera. Values that come back are cached.
+        For everything that depends on the size of a frame, the gaze or the camera.
         """
         return constant(self.plain.UInt, value)
 
-    def from_torch(self, tensor: torch.Tensor) -> Any:
+    def from_torch(self, tensor: torch.Tensor) -> Float:
         """Differentiable flat Float of a tensor's elements; shares the memory of a contiguous tensor."""
         return self.ad.Float(tensor.detach().reshape(-1).contiguous())
 
-    def to_torch(self, array: Any, device: torch.device) -> torch.Tensor:
+    def to_torch(self, array: dr.ArrayBase, device: torch.device) -> torch.Tensor:
         """Flat tensor of an array's elements; shares the memory on the CPU."""
-        return dr.detach(array, preserve_type=False).torch().to(device)
+        return cast("torch.Tensor", dr.detach(array, preserve_type=False).torch()).to(device)
 
-    def argsort(self, key: Any, bound: int) -> Any:
+    def argsort(self, key: UInt, bound: int) -> UInt:
         """Indices that sort keys, UInt (N,) less than `bound`, stably: equal keys keep their order.
 
-        This is a radix sort; `dr.argsort` sorts by all 32 bits. On the CPU it takes one pass for bounds up to
-        2^14, or up to a quarter of the keys' number, and two for bounds up to 2^22; on a card a pass for each
-        8 bits.
+        A radix sort: on the CPU one pass for bounds up to 2^14, or a quarter of the keys' number, and two up
+        to 2^22; on a card a pass for each 8 bits. `dr.argsort` sorts by all 32 bits.
         """
         count = dr.width(key)
         if not count or bound <= 1:
             return dr.arange(self.plain.UInt, count)
-        on_cpu = self.backend == "llvm"
+        on_cpu, UInt = self.backend == "llvm", self.plain.UInt
         # The counters of 2^14 buckets fit the cache; those of more buckets are worth it if all are used.
         if on_cpu and bound <= max(1 << 14, count // _KEYS_PER_BUCKET):
-            dr.eval(key)
-            return dr.detail.block_mkperm(key, count, bound)
-        order, shift, bits = None, 0, 11 if on_cpu else 8
+            return self._permutation(key, bound)
+        shift = bits = 11 if on_cpu else 8
+        mask = (1 << bits) - 1
+        order = self._permutation(key & mask, min(1 << bits, bound))
         while bound > 1 << shift:
-            digits = key if order is None else dr.gather(self.plain.UInt, key, order)
-            digit = digits >> shift & (1 << bits) - 1
-            dr.eval(digit)
-            step = dr.detail.block_mkperm(digit, count, min(1 << bits, -(-bound // (1 << shift))))
-            order = step if order is None else dr.gather(self.plain.UInt, order, step)
-            shift += bits
+            digit = dr.gather(UInt, key, order) >> shift & mask
+            step = self._permutation(digit, min(1 << bits, -(-bound // (1 << shift))))
+            order, shift = dr.gather(UInt, order, step), shift + bits
         return order
 
-    def scalars(self, kind: Any, values: Sequence[float]) -> list[Any]:
+    def _permutation(self, digit: UInt, bound: int) -> UInt:
+        """Indices that sort digits less than `bound` stably, in one pass."""
+        dr.eval(digit)
+        return self.plain.UInt(dr.detail.block_mkperm(self.plain.UInt(digit), dr.width(digit), bound))
+
+    def scalars(self, kind: type[_Array], values: Sequence[float]) -> list[_Array]:
         """Numbers as arrays of a kind and of width 1 that kernels read from memory, all in one upload.
 
         Integers must not be divided by them: lanes beyond the last read 0, and the CPU stops at 0 / 0.
@@ -96,27 +101,29 @@ class Arrays:
         start = self.constant(0)
         return [dr.gather(kind, table, start + i) for i in range(len(values))]
 
-    def rows_columns(self, index: Any, width: int) -> tuple[Any, Any]:
+    def rows_columns(self, index: UInt, width: int) -> tuple[UInt, UInt]:
         """Rows and columns, UInt each, of row-major indices UInt of an image of that width."""
         across = self.constant(width)
         row = index // across
         return row, index - row * across
 
-    def packet(self, table: Any, size: int, index: Any, active: Any = True) -> Any:
-        """Rows of `size` numbers of a flat Float or Float64, by indices UInt (N,), as an ArrayXf (size, N).
+    def packet(self, table: _Array, size: int, index: UInt, active: Bool | bool = True) -> Sequence[_Array]:
+        """Rows of `size` numbers of a flat Float or Float64, by indices (N,), each loaded at once.
 
-        Each row is loaded at once; rows that are not active are 0.
+        They are an array (size, N); rows that are not active are 0.
         """
         kind = self.plain.ArrayXf64 if dr.type_v(table) == dr.VarType.Float64 else self.plain.ArrayXf
         return dr.gather(kind, table, index, active, shape=(size, dr.width(index)))
 
-    def put_packet(self, table: Any, values: Sequence[Any], index: Any, active: Any = True) -> None:
+    def put_packet(
+        self, table: Float, values: Sequence[Float], index: UInt, active: Bool | bool = True
+    ) -> None:
         """Writes Floats (N,) to rows of a flat Float, each row at once; an index may occur only once."""
         dr.scatter(table, self.plain.ArrayXf(values), index, active, mode=dr.ReduceMode.Permute)
 
 
 @lru_cache(maxsize=4096)
-def _constant(kind: Any, value: float) -> Any:
+def _constant(kind: type[_Array], value: float) -> _Array:
     return dr.opaque(kind, value)
 
 
@@ -124,13 +131,13 @@ def _constant(kind: Any, value: float) -> Any:
 atexit.register(_constant.cache_clear)
 
 
-def constant(kind: Any, value: float) -> Any:
+def constant(kind: type[_Array], value: float) -> _Array:
     """Array of a kind and of width 1 that is cached; see `Arrays.constant`."""
     # A new handle: changing it in place leaves the cached one alone.
-    return kind(_constant(kind, value))
+    return kind(_constant(kind, value))  # type: ignore[arg-type]  # the stub hides that types are hashable
 
 
-def uploaded(kind: Any, values: NDArray[Any]) -> Any:
+def uploaded(kind: type[_Array], values: NDArray[Any]) -> _Array:
     """Flat array of a kind, from a copy of numbers in host memory that have the kind's size.
 
     The same kernels serve all such arrays; those that share numpy's memory may be aligned in any way.
@@ -142,8 +149,8 @@ def uploaded(kind: Any, values: NDArray[Any]) -> Any:
     return kind(aligned)
 
 
-def compressed(values: Any, mask: Any) -> Any:
+def compressed(values: _Array, mask: Bool) -> _Array:
     """Those of N values whose mask is set, in order; waits for their count."""
-    chosen = dr.compress(mask)
+    chosen = cast("UInt", dr.compress(mask))
     # Dr.Jit refuses to index with arrays of width 0.
     return dr.gather(type(values), values, chosen) if dr.width(chosen) else dr.zeros(type(values), 0)

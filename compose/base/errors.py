@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import SupportsIndex, TypeGuard
 
 # Of an image: 16 times those of 4K.
 MOST_PIXELS = 1 << 27
@@ -41,7 +41,7 @@ def reading(path: object) -> Iterator[None]:
         raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
 
 
-def require_seed(seed: Any) -> int:
+def require_seed(seed: SupportsIndex) -> int:
     """Checks a seed before any work; UserError unless it is a whole number from 0 to MOST_SEED."""
     try:
         number = operator.index(seed)
@@ -52,7 +52,7 @@ def require_seed(seed: Any) -> int:
     return number
 
 
-def as_plain_numbers(settings: Any) -> None:
+def as_plain_numbers(settings: object) -> None:
     """Makes numbers of NumPy in an object's attributes Python's own, which JSON and checks of types take."""
     plain = lambda value: value.item() if getattr(value, "shape", None) == () else value  # noqa: E731
     for name, value in vars(settings).items():
@@ -62,18 +62,21 @@ def as_plain_numbers(settings: Any) -> None:
             object.__setattr__(settings, name, found)
 
 
-def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
+def claimed_scene(name: object, digest: object) -> tuple[str, str]:
     """Name and hash of a scene, which become parts of paths, so they must not be paths; else ValueError.
 
     A name is at most 200 bytes of printable characters, without slashes, backslashes, or a leading dot. A
     hash has up to 64 hexadecimal digits in lower case, none for what fits any scene.
     """
-    good = isinstance(name, str) and name.isprintable() and not set("/\\") & set(name)
-    if not good or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
+    if not _is_name(name, _LONGEST_NAME) or name.startswith(".") or set("/\\") & set(name):
         raise ValueError(f"scene name {str(name)[:40]!r} must be printable, short, and no path")
     if not isinstance(digest, str) or not _HASH.fullmatch(digest):
         raise ValueError(f"scene hash {str(digest)[:40]!r} must be up to 64 hexadecimal digits")
     return name, digest
+
+
+def _is_name(value: object, most_bytes: int) -> TypeGuard[str]:
+    return isinstance(value, str) and value.isprintable() and len(value.encode()) <= most_bytes
 
 
 def scene_name(wanted: str, otherwise: str) -> str:
@@ -82,9 +85,8 @@ def scene_name(wanted: str, otherwise: str) -> str:
     return plain.encode()[:_LONGEST_NAME].decode(errors="ignore") or otherwise
 
 
-def file_inside(folder: Path, name: Any) -> Path:
+def file_inside(folder: Path, name: object) -> Path:
     """A file by its name relative to a folder; ValueError if it would lie outside, or is not a file name."""
-    is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_PART
-    if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
+    if not _is_name(name, _LONGEST_PART) or Path(name).is_absolute() or ".." in Path(name).parts:
         raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")
     return folder / name

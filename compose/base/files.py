@@ -48,11 +48,8 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     A link stays, and the file that it leads to is written. Pipes, character devices and open files such as
     /dev/stdout take the content as a stream.
 
-    Args:
-        path: the target; its folder is created.
-        write: writes the content to the path it is given, which has the target's extension.
-
-    UserError if the path names no file, or it cannot be written; no partial file is left.
+    The folder is created; `write` gets a path with the target's extension. UserError if the target names no
+    file, or cannot be written; no partial file is left.
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
@@ -75,14 +72,17 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _write_beside(path: Path, write: Callable[[Path], object]) -> None:
-    """As `write_whole`, to an ordinary file."""
     # The extension stays: libraries choose the format by it.
     extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""
     # A name that no other write uses, made of the machine, the process, and random digits.
     part = path.with_name(f"{PART_PREFIX}{_place()}-{os.getpid()}-{secrets.token_hex(8)}{extension}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_stale_parts(path.parent)
+        for old in path.parent.glob(f"{PART_PREFIX}*"):
+            # Another process may remove it as well.
+            with contextlib.suppress(OSError):
+                if _is_stale(old):
+                    old.unlink()
         # Permissions that an ordinary new file gets there, without a change of the process's mask.
         part.touch(exist_ok=False)
         mode = stat.S_IMODE(part.stat().st_mode)
@@ -104,9 +104,15 @@ def _write_beside(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def _stream_of(path: Path) -> Path | int | None:
-    """What to open where a path leads to a pipe, a character device, or a file that is open already."""
-    if (number := _descriptor(path)) is not None:
-        return number
+    """What to open where a path leads to a pipe, a character device, or an open file, as /dev/stdout does."""
+    link = path
+    for _ in range(_MOST_LINKS):
+        folder = os.path.realpath(link.parent)
+        if folder in (f"/proc/{os.getpid()}/fd", "/dev/fd") and link.name.isdecimal():
+            return int(link.name)
+        if not link.is_symlink():
+            break
+        link = link.parent / os.readlink(link)
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -114,20 +120,8 @@ def _stream_of(path: Path) -> Path | int | None:
     return path if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode) else None
 
 
-def _descriptor(path: Path) -> int | None:
-    """The number of the open file that a path such as /dev/stdout or /dev/fd/3 stands for."""
-    for _ in range(_MOST_LINKS):
-        folder = os.path.realpath(path.parent)
-        if folder in (f"/proc/{os.getpid()}/fd", "/dev/fd") and path.name.isdecimal():
-            return int(path.name)
-        if not path.is_symlink():
-            return None
-        path = path.parent / os.readlink(path)
-    return None
-
-
 def _write_to_stream(target: Path | int, name: str, write: Callable[[Path], object]) -> None:
-    """As `write_whole`, to a stream, which gets all of the content or, if that cannot be made, nothing."""
+    """The stream gets all of the content or, if that cannot be made, nothing."""
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / name
         write(whole)
@@ -142,9 +136,8 @@ def _write_to_stream(target: Path | int, name: str, write: Callable[[Path], obje
 def whole_folder(folder: Path, last: str) -> Iterator[Path]:
     """A folder to fill, which becomes the one that is named at the end, or is removed after an error.
 
-    That must be missing or empty; as it may be the working one, or a link, an empty one stays, and is filled
-    with what was written. `last` is moved last: without it, the folder's content is not taken for whole.
-    UserError if it exists otherwise, or cannot be written.
+    That must be missing or empty; an empty one stays, as it may be the working one or a link. `last` is moved
+    last: without it, the content is not taken for whole. UserError if it is not empty, or cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: exists already; name another folder, or remove it")
@@ -186,11 +179,9 @@ def _opened(folder: Path) -> Iterator[int]:
 
 
 def require_size_below(path: Path, most_bytes: int) -> int:
-    """Size of a file in bytes, asked for before it is read.
+    """Size of a file in bytes, asked for before it is read; OSError if there is none.
 
-    Raises:
-        OSError: there is no such file.
-        ValueError: it is larger, or not an ordinary file: reading a device or a pipe might never end.
+    ValueError if it is larger, or not an ordinary file: reading a device or a pipe might never end.
     """
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
@@ -211,18 +202,7 @@ def _place() -> str:
     return hashlib.sha256("\n".join(known).encode()).hexdigest()[:8]
 
 
-def _remove_stale_parts(folder: Path) -> None:
-    """Removes what dead processes left in a folder."""
-    with os.scandir(folder) as entries:
-        found = [entry for entry in entries if entry.name.startswith(PART_PREFIX)]
-    for entry in found:
-        # Another process may remove it as well.
-        with contextlib.suppress(OSError):
-            if _is_stale(entry):
-                os.unlink(entry.path)
-
-
-def _is_stale(part: os.DirEntry[str]) -> bool:
+def _is_stale(part: Path) -> bool:
     """Whether nobody writes a partial file any more."""
     place, _, rest = part.name.removeprefix(PART_PREFIX).partition("-")
     number = rest.partition("-")[0]
@@ -234,25 +214,23 @@ def _is_stale(part: os.DirEntry[str]) -> bool:
             return True
         except (PermissionError, OverflowError):
             return False
-    return time.time() - part.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
+    return time.time() - part.lstat().st_mtime > _STALE_SECONDS
 
 
-def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> Any:
-    """The content of a JSON file of at most that many bytes.
+def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> dict[str, Any]:
+    """The content of a JSON file of at most that many bytes; whether it is an object is not checked.
 
     Unless it must be `finite`, it may hold NaN and Infinity, which JSON does not have but Python writes.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is too large, not JSON, nested too deeply, or a number in it is too large.
+    OSError if it cannot be read; ValueError if it is too large, not JSON, nested too deeply, or a number in
+    it is too large.
     """
     require_size_below(path, most_bytes)
     # Some programs start texts with a byte order mark.
     return parse_json(path.read_text(encoding="utf-8-sig"), finite)
 
 
-def parse_json(text: str, finite: bool = True) -> Any:
-    """The content of a JSON text; ValueError if it is not JSON, too deep, or a number is too large."""
+def parse_json(text: str, finite: bool = True) -> dict[str, Any]:
+    """As `read_json`, of a text; ValueError if it is not JSON, too deep, or a number is too large."""
     constant = _refused if finite else float
     try:
         return json.loads(text, parse_int=_whole, parse_float=_number, parse_constant=constant)
@@ -294,12 +272,12 @@ def under(prefix: str, values: Mapping[str, _Value]) -> dict[str, _Value]:
     return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
 
 
-def json_text(content: Any) -> str:
+def json_text(content: object) -> str:
     """The content, of types that JSON has, as an indented document; null for numbers that are not finite."""
     return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
 
 
-def _finite(content: Any) -> Any:
+def _finite(content: object) -> object:
     if isinstance(content, dict):
         return {name: _finite(value) for name, value in content.items()}
     if isinstance(content, list | tuple):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Any
+from threading import Lock
+from typing import Any, Generic, TypeVar, cast
 
 import drjit as dr
-
-from compose.base.collector import collector_paused
 
 # Recordings of a function that are kept, and from how many made Dr.Jit would take them for a mistake.
 _KEPT, _MANY = 64, 1 << 30
@@ -18,6 +19,11 @@ _KEPT, _MANY = 64, 1 << 30
 _PLAIN = {bool, int, float, str}
 # Sizes per octave that arrays are rounded up to, and the least one.
 _PER_OCTAVE, _LEAST = 4, 1024
+_Result = TypeVar("_Result")
+_lock = Lock()
+# Pauses under way, in all threads, and whether the collector ran before the first of them.
+_pauses = 0
+_was_enabled = False
 
 
 def capacity(count: int) -> int:
@@ -28,6 +34,24 @@ def capacity(count: int) -> int:
     if count <= _LEAST:
         return _LEAST
     return 16 * math.ceil(2 ** (math.ceil(_PER_OCTAVE * math.log2(count)) / _PER_OCTAVE) / 16)
+
+
+@contextmanager
+def collector_paused() -> Iterator[None]:
+    """No automatic collection inside, in any thread; pauses may overlap and lie inside each other."""
+    global _pauses, _was_enabled
+    with _lock:
+        if not _pauses:
+            _was_enabled = gc.isenabled()
+            gc.disable()
+        _pauses += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _pauses -= 1
+            if not _pauses and _was_enabled:
+                gc.enable()
 
 
 @dataclass(frozen=True)
@@ -42,26 +66,21 @@ class AnySize:
 
 
 class Passed:
-    """An argument that says what stands for it in a recording.
+    """An argument that says what stands for it in a recording."""
 
-    Attributes:
-        flat: its type and itself, and values for Dr.Jit.
-        value: what the function gets.
-    """
-
-    flat: tuple[Any, ...]
-    value: Any
+    flat: tuple[Any, ...]  # its type and itself, and values for Dr.Jit
+    value: Any  # what the function gets
 
 
-class Frozen:
-    """`dr.freeze` without two ways in which it stops or aborts the process, and one to be wrong (Dr.Jit 1.5).
+class Frozen(Generic[_Result]):
+    """`dr.freeze` without three faults of Dr.Jit 1.5.
 
-    Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
-    in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
-    one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
-    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile. Of a number or
-    string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was replayed for
-    (True, False, False). So there is a hash of them all.
+    - Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python
+      code, in which another thread may get its turn; if that one frees an array, both wait for ever. So
+      dataclasses pass as plain tuples.
+    - A garbage collection that frees a Mitsuba scene during a recording aborts the process: it is paused.
+    - Of a number or string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was
+      replayed for (True, False, False). So there is a hash of them all.
 
     What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
     it writes to must be made inside it: others are copied.
@@ -75,64 +94,62 @@ class Frozen:
             its arguments.
     """
 
-    def __init__(self, function: Callable[..., Any], by_size: bool = False):
+    def __init__(self, function: Callable[..., _Result], by_size: bool = False):
         self._function, self._by_size = function, by_size
         self._recorded = dr.freeze(self._plain, limit=_KEPT, warn_after=_MANY)
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> _Result:
         with collector_paused():
-            return rebuilt(self.replayed(arguments))
+            return self.replayed(arguments)
 
-    def replayed(self, arguments: tuple[Any, ...]) -> Any:
-        """The flattened result; the collector is paused."""
-        flat = flattened(arguments)
-        return self._recorded(flat, hash(_key(flat, self._by_size)))
+    def replayed(self, arguments: tuple[object, ...]) -> _Result:
+        """The result; the collector is paused."""
+        flat = _flattened(arguments)
+        return cast("_Result", _rebuilt(self._recorded(flat, hash(_key(flat, self._by_size)))))
 
-    def _plain(self, arguments: Any, key: int) -> Any:
+    def _plain(self, arguments: object, key: int) -> object:
         """The function from flattened arguments to a flattened result; frozen."""
-        return flattened(self._function(*rebuilt(arguments)))
+        return _flattened(self._function(*cast("tuple[object, ...]", _rebuilt(arguments))))
 
 
-def flattened(value: Any) -> Any:
+def _flattened(value: object) -> object:
     """Dataclasses, tuples and lists as tuples that start with their type, by which recordings differ."""
-    kind: Any = type(value)
-    if kind is tuple or kind is list:
-        return (kind, *map(flattened, value))
-    if kind is dict:
-        return {key: flattened(part) for key, part in value.items()}
-    if issubclass(kind, Passed):
+    kind: type = type(value)
+    if type(value) is tuple or type(value) is list:
+        return (kind, *map(_flattened, value))
+    if type(value) is dict:
+        return {key: _flattened(part) for key, part in value.items()}
+    if isinstance(value, Passed):
         return value.flat
     names = _names(kind)
-    return value if names is None else (kind, *[flattened(getattr(value, name)) for name in names])
+    return value if names is None else (kind, *[_flattened(getattr(value, name)) for name in names])
 
 
-def rebuilt(value: Any) -> Any:
-    """What was flattened."""
+def _rebuilt(value: object) -> object:
     if type(value) is dict:
-        return {key: rebuilt(part) for key, part in value.items()}
+        return {key: _rebuilt(part) for key, part in value.items()}
     if type(value) is not tuple:
         return value
     kind, *parts = value
     if issubclass(kind, Passed):
         return parts[0].value
-    names, whole = _names(kind), map(rebuilt, parts)
+    names, whole = _names(kind), map(_rebuilt, parts)
     return kind(whole) if names is None else kind(**dict(zip(names, whole, strict=True)))
 
 
-def _key(value: Any, by_size: bool) -> Any:
+def _key(value: object, by_size: bool) -> Hashable:
     """Values in what was flattened and, if recordings differ by them, widths of all arrays."""
-    kind = type(value)
-    if kind is tuple:
+    if type(value) is tuple:
         by_size = by_size and not (value and value[0] is AnySize)
         return tuple([_key(part, by_size) for part in value])
-    if kind is dict:
+    if type(value) is dict:
         return tuple([_key(part, False) for part in value.values()])
     if isinstance(value, dr.ArrayBase):
         return dr.width(value) if by_size else None
-    return (kind, value) if kind in _PLAIN else None
+    return (type(value), value) if type(value) in _PLAIN else None
 
 
 @cache
-def _names(kind: Any) -> tuple[str, ...] | None:
+def _names(kind: type) -> tuple[str, ...] | None:
     """The fields of a dataclass; None for other types."""
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None

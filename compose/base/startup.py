@@ -30,7 +30,7 @@ _SPINS = 1000
 
 
 class Llvm(NamedTuple):
-    """A shared LLVM library: its path and major version, None if the name does not contain it."""
+    """A shared LLVM library and its major version, None if the name does not contain it."""
 
     path: Path
     version: int | None

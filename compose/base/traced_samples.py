@@ -7,13 +7,16 @@ of what it hits among what moves, by which poses say where that is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, Float64, UInt
 
 # Classes of gloss in ascending order: plain integers, for kernels of Dr.Jit and arrays of NumPy alike.
 DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
@@ -26,13 +29,13 @@ STILL, UNSTEADY = 0, (1 << 14) - 1
 class Counts:
     """Numbers of samples of D pixels: UInt (D,) of each, their total, and an upper bound of all."""
 
-    each: Any
+    each: dr.ArrayBase
     total: int
     most: int
 
     @staticmethod
-    def of(each: Any, most: int) -> Counts:
-        """The numbers (D,) of pixels; waits for their sum."""
+    def of(each: dr.ArrayBase, most: int) -> Counts:
+        """Waits for the sum."""
         return Counts(each, int(dr.sum(each)[0]), most)
 
 
@@ -47,8 +50,8 @@ class Moment:
     time: float
     poses: NDArray[np.float64]
 
-    def at_rest(self, arrays: Arrays, position: list[Any], mover: Any) -> list[Any]:
-        """Where points, three Floats (D,), of movers Float (D,) are at rest; others stay."""
+    def at_rest(self, arrays: Arrays, position: list[Float], mover: Float) -> list[Float]:
+        """Where points, three Floats (D,), of movers (D,) are at rest; others stay."""
         if len(self.poses) == 1:
             return position
         plain = arrays.plain
@@ -59,7 +62,7 @@ class Moment:
         rest = [sum(row[4 * i + j] * shifted[i] for i in range(3)) for j in range(3)]
         return [dr.select(moves, plain.Float(at), own) for at, own in zip(rest, position, strict=True)]
 
-    def placed(self, arrays: Arrays, rest: list[Any], mover: Any) -> list[Any]:
+    def placed(self, arrays: Arrays, rest: list[Float], mover: UInt) -> list[Float] | list[Float64]:
         """Where points, three Floats (D,) at rest, of movers UInt (D,) are; in float64 if anything moves.
 
         What is unsteady stays where it was: its samples are of use until the next moment.

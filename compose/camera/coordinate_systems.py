@@ -96,10 +96,8 @@ def camera_to_json(camera: Camera) -> dict[str, Any]:
 def camera_from_json(entry: dict[str, Any]) -> Camera:
     """The camera that an entry of transforms.json describes; the inverse of `camera_to_json`.
 
-    Raises:
-        KeyError: a name is missing.
-        TypeError, ValueError: a value is of the wrong type or shape; a size must be a whole number of pixels,
-            the matrix 4 x 4 (its last row may be missing) and rigid.
+    KeyError if a name is missing; TypeError or ValueError if a value is of the wrong type or shape: a size
+    must be a whole number of pixels, the matrix 4 x 4 (its last row may be missing) and rigid.
     """
     try:
         matrix = np.asarray(entry["transform_matrix"], dtype=np.float64)
@@ -110,10 +108,10 @@ def camera_from_json(entry: dict[str, Any]) -> Camera:
         raise ValueError(f"transform_matrix is {shape}; must be 4 x 4, one list per row")
     if not np.isfinite(matrix).all():
         raise ValueError("transform_matrix has a number that is not finite")
-    pose = opencv_from_opengl(matrix)
     width, height = (_whole_pixels(entry, name) for name in ("w", "h"))
     if width * height > MOST_PIXELS:
         raise ValueError(f"frame size {width} x {height}; at most {MOST_PIXELS:,} pixels")
+    pose = opencv_from_opengl(matrix)
     return camera_from_pose(pose, width, height, entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"])
 
 

@@ -6,7 +6,8 @@ One view alone does not tell how far away a point is: it takes a few that agree.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # Relative difference of depths up to which a point is visible: what is not hidden may lie a little deeper
 # than what the four rays around it hit.
@@ -28,35 +32,31 @@ _VIEW = 17
 class SeenSurfaces:
     """The surfaces that V views see, each view as a small depth map.
 
-    Maps (V, h, w) are depths along the view axis at the centres of h x w cells of each view's frame; where
-    there is nothing, a distance beyond everything that is asked for. ValueError without a view, or a map of
-    each.
+    Maps (V, h, w) are depths along the view axis at the centres of cells of each view's frame; where there is
+    nothing, beyond all that is asked for. ValueError without a view, or a map of each.
     """
 
     def __init__(self, arrays: Arrays, cameras: Sequence[Camera], depths: NDArray[np.float32]):
         if not cameras or depths.ndim != 3 or len(depths) != len(cameras) or not depths.size:
             raise ValueError(f"depth maps of shape {depths.shape} for {len(cameras)} views")
         self._arrays, self._views_given = arrays, len(cameras)
-        self._count, self._rows, self._columns = (arrays.constant(side) for side in depths.shape)
+        views, rows, columns = depths.shape
+        self._sizes = arrays.constant(views), arrays.constant(rows), arrays.constant(columns)
         self._depths = uploaded(arrays.plain.Float, depths.astype(np.float32))
-        self._views = uploaded(
-            arrays.plain.Float, np.stack([_floats(camera, *depths.shape[1:]) for camera in cameras])
-        )
-        dr.eval(self._count, self._rows, self._columns, self._depths, self._views)
+        floats = np.stack([_floats(camera, rows, columns) for camera in cameras])
+        self._views = uploaded(arrays.plain.Float, floats)
+        dr.eval(self._sizes, self._depths, self._views)
 
     def finest(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(N,) size in the world of the third-finest pixel that shows each point (N, 3).
 
         With fewer than three views it is that of the coarsest; inf where too few views show the point.
         """
-        x, y, z = (uploaded(self._arrays.plain.Float, points[:, k].astype(np.float32)) for k in range(3))
-        # Arguments of the loop's function: it changes none of them.
-        found = _finest(
-            self._arrays.plain, (x, y, z), self._views, self._depths, self._count, (self._rows, self._columns)
-        )
+        plain = self._arrays.plain
+        point = [uploaded(plain.Float, points[:, k].astype(np.float32)) for k in range(3)]
+        found = _finest(plain, point, self._views, self._depths, self._sizes)
         dr.eval(found)
-        values: NDArray[np.float32] = found[min(_VIEWS, self._views_given) - 1].numpy()
-        return values
+        return found[min(_VIEWS, self._views_given) - 1].numpy()
 
 
 def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
@@ -66,10 +66,12 @@ def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
 
 
 @dr.syntax
-def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: Any, shape: Any) -> Any:
-    """Sizes of the three finest pixels that show a point, three (N,) Floats; inf where there are fewer."""
+def _finest(
+    plain: ModuleType, point: list[Float], views: Float, depths: Float, sizes: tuple[UInt, UInt, UInt]
+) -> list[Float]:
+    """Sizes of the three finest pixels that show points, three (N,) Floats; inf where there are fewer."""
     x, y, z = point
-    rows, columns = shape
+    count, rows, columns = sizes
     best, second, third = (dr.full(plain.Float, dr.inf, dr.width(x)) for _ in range(_VIEWS))
     view = dr.zeros(plain.UInt, dr.width(x))
     while dr.hint(view < count, exclude=[x, y, z, views, depths, count, rows, columns]):
@@ -95,4 +97,4 @@ def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: 
         second = dr.minimum(second, dr.maximum(best, size))
         best = dr.minimum(best, size)
         view += 1
-    return best, second, third
+    return [best, second, third]

@@ -33,17 +33,13 @@ _LIMIT_SPREAD = (0.181, 0.0191, 20.0)
 class AcuityModel:
     """An acuity model and how levels of detail follow from it.
 
-    Attributes:
-        cutoff: highest spatial frequency that is resolved, in cycles per degree, from eccentricities in
-            degrees.
-        relative: whether levels follow Fov-GS (Eq. 7): they depend on eccentricity alone, count from the edge
-            of the full-quality region regardless of what the finest layer can show there, and each layer
-            counts for the most that its pixels can hold. Otherwise a layer is replaced by the next one only
-            where the eye cannot tell them apart, saliency included, and is sampled twice as finely as it was
-            trained.
+    If `relative`, levels follow Fov-GS (Eq. 7): they depend on eccentricity alone, count from the edge of the
+    full-quality region regardless of what the finest layer can show there, and each layer counts for the most
+    that its pixels can hold. Otherwise a layer is replaced by the next one only where the eye cannot tell
+    them apart, saliency included, and is sampled twice as finely as it was trained.
     """
 
-    cutoff: Callable[[Array], Array]
+    cutoff: Callable[[Array], Array]  # cycles per degree that are resolved, from eccentricities in degrees
     relative: bool = False
 
 
@@ -85,10 +81,8 @@ def resolution_limit(eccentricity: Array, observers: float = 0.5) -> Array:
     """Cut-off in cycles per degree, 0.5 to 64, at which a share of observers no longer sees a grating.
 
     Fitted to people (`limit_sensitivity`); the logarithm of their cut-offs is normally distributed, and
-    spreads with eccentricity up to 20 degrees, beyond which it was not measured.
-
-    Args:
-        observers: share of people who resolve no more, over 0 and under 1.
+    spreads with eccentricity up to 20 degrees, beyond which it was not measured. The share `observers`
+    resolves no more; it is over 0 and under 1.
     """
     eccentricity = np.asarray(eccentricity, dtype=np.float64)
     foveal, per_degree, farthest = _LIMIT_SPREAD
@@ -138,13 +132,9 @@ def limit_sensitivity(
     finest gratings; the other studies' is a tenth of it. Luminance matters little: at 10 and 1,000 cd/m2 the
     cut-off is 5 % lower and 1 % higher.
 
-    Args:
-        frequency: in cycles per degree, over 0.
-        eccentricity: in degrees.
-        luminance: in cd/m2.
-        area: of the grating in square degrees.
-        parameters: log10 of the gain, a, b, c, and the frequency in cycles per degree whose sensitivity the
-            optics divide by 10.
+    Frequency is in cycles per degree, over 0, eccentricity in degrees, luminance in cd/m2, the grating's area
+    in square degrees. Parameters are log10 of the gain, a, b, c, and the frequency whose sensitivity the
+    optics divide by 10.
     """
     gain, constant, slope, power, optics = parameters
     falls = (constant + slope * frequency**power) * eccentricity + (frequency / optics) ** 2
@@ -213,8 +203,7 @@ def detail_steps(
         finest: the cut-off, in cycles per pixel, down to which layer L is required.
         ahead: the same for a viewer who looks straight ahead. Rates follow from it, because they must not
             change with the gaze: a whole layer would pop.
-        finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
-        lowest: coarsest layer that may be drawn.
+        finest_rates, lowest: as in LayerRange (compose.eye.detail).
         fade: fraction of an octave over which a step fades in.
     """
     layers = len(finest_rates)

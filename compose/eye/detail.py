@@ -55,43 +55,28 @@ def at_corners(image: NDArray[np.float32], width: int, height: int) -> Lattice:
 
 @dataclass(frozen=True)
 class LayerRange:
-    """The layers of a forest that may be drawn in a frame, from L, the finest, to `lowest`.
+    """The layers of a forest that may be drawn in a frame, from L, the finest, to `lowest`."""
 
-    Attributes:
-        finest_frequency: highest frequency that layer L can show, in cycles per pixel of the frame.
-        finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
-    """
-
-    finest_frequency: float
-    finest_rates: tuple[int, ...]
+    finest_frequency: float  # that layer L can show, in cycles per pixel of the frame
+    finest_rates: tuple[int, ...]  # finest rate that is worth its samples, for each of layers 1 to L
     lowest: int = 1
 
 
 @dataclass(frozen=True)
 class DetailMap:
-    """The detail that a frame requires, at the corners of its cells.
+    """The detail that a frame requires, at the corners of its cells."""
 
-    Attributes:
-        width, height: frame in pixels.
-        layers: L.
-        eccentricity: in degrees.
-        cutoff: highest frequency that is resolved, in cycles per pixel, at most 0.5.
-        low_pass: highest frequency to keep. With Fov-GS's acuity model the cut-off (Eq. 8); with others all
-            that the samples carry: blurring further saves no time, and shows.
-        steps: what is drawn, from fine to coarse.
-        step_index: index into the steps, 0 for the first; between two whole numbers both are blended.
-        levels: continuous levels of detail, standard deviation in pixels that Gaussians may have; None where
-            layers are drawn.
-    """
-
-    width: int
+    width: int  # of the frame, in pixels
     height: int
-    layers: int
-    eccentricity: Lattice
-    cutoff: Lattice
+    layers: int  # L
+    eccentricity: Lattice  # in degrees
+    cutoff: Lattice  # highest frequency that is resolved, in cycles per pixel, at most 0.5
+    # Highest frequency to keep. With Fov-GS's acuity model the cut-off (Eq. 8); with others all that the
+    # samples carry: blurring further saves no time, and shows.
     low_pass: Lattice
-    steps: tuple[Step, ...]
-    step_index: Lattice
+    steps: tuple[Step, ...]  # what is drawn, from fine to coarse
+    step_index: Lattice  # 0 for the first step; between two whole numbers both are blended
+    # Continuous levels of detail: standard deviation in pixels that Gaussians may have; None with layers.
     levels: Lattice | None = None
 
     @property
@@ -132,12 +117,8 @@ def detail_map(
 ) -> DetailMap:
     """The detail that a viewer of a display resolves in a frame, shown around its centre, pixel by pixel.
 
-    Args:
-        width, height: frame in pixels.
-        acuity_model: gives cut-offs at eccentricities.
-        fov_b: radius of the full-quality region in percent of the height; its edge is Fov-GS's e0.
-        layers: what may be drawn.
-        saliency: (rows + 1, columns + 1) in 0..1 at the cells' corners; None for none.
+    `fov_b` is the radius of the full-quality region in percent of the height; its edge is Fov-GS's e0.
+    Saliency is (rows + 1, columns + 1) in 0..1 at the cells' corners.
     """
     per_degree, rays = _corners(display, width, height)
     radius, relative = fov_b / 100 * height, acuity_model.relative
@@ -159,10 +140,15 @@ def detail_map(
     )
     fade = _FADE if relative else _FADE_BY_SALIENCY
     steps = detail_steps(finest, ahead, layers.finest_rates, layers.lowest, fade)
+    with np.errstate(divide="ignore"):
+        octaves = -np.log2(deciding)
+    index = np.zeros_like(octaves)
+    for step in steps[1:]:
+        index += np.clip((octaves - step.octaves) / fade, 0, 1)
     resolved = np.minimum(cutoff, _NYQUIST).astype(np.float32)
     low_pass = resolved if relative else np.full_like(resolved, _NYQUIST)
-    index, count = _step_index(deciding, steps, fade), len(layers.finest_rates)
-    return DetailMap(width, height, count, angle.astype(np.float32), resolved, low_pass, steps, index)
+    angle, index = angle.astype(np.float32), index.astype(np.float32)
+    return DetailMap(width, height, len(layers.finest_rates), angle, resolved, low_pass, steps, index)
 
 
 def resolved_share(
@@ -189,16 +175,6 @@ def _gaze_ray_and_edge(
     circle = position + np.stack([np.cos(around), np.sin(around)], axis=1) * radius
     ray = viewer.rays(position[None])[0]
     return ray, float(np.degrees(np.arccos(min(1.0, (viewer.rays(circle) @ ray).max()))))
-
-
-def _step_index(cutoff: NDArray[np.float64], steps: tuple[Step, ...], fade: float) -> Lattice:
-    """(rows + 1, columns + 1) fractional index of the step that cut-offs in cycles per pixel require."""
-    with np.errstate(divide="ignore"):
-        octaves = -np.log2(cutoff)
-    index = np.zeros_like(cutoff)
-    for step in steps[1:]:
-        index += np.clip((octaves - step.octaves) / fade, 0, 1)
-    return index.astype(np.float32)
 
 
 @lru_cache(maxsize=4)

@@ -26,9 +26,8 @@ class Display:
         fov: width of the display in degrees, as the viewer sees it.
         luminance: of white, in cd/m2.
 
-    Raises:
-        UserError: a number is not finite or not positive, or the field of view is less than 0.001 degrees, or
-            180 or more.
+    UserError if a number is not finite or not positive, or the field of view is less than 0.001 degrees, or
+    180 or more.
     """
 
     width: int

@@ -110,9 +110,8 @@ class GazeTrace:
     def save(self, path: Path) -> None:
         """Writes a CSV file with the columns seconds, x, y."""
         rows = zip(self.seconds, self.gazes, strict=True)
-        lines = [",".join(_COLUMNS), *(f"{s:.4f},{gaze.x:.6f},{gaze.y:.6f}" for s, gaze in rows)]
-        text = "\n".join(lines) + "\n"
-        write_whole(path, lambda part: part.write_text(text))
+        lines = [",".join(_COLUMNS), *(f"{s:.4f},{gaze.x:.6f},{gaze.y:.6f}" for s, gaze in rows), ""]
+        write_whole(path, lambda part: part.write_text("\n".join(lines)))
 
 
 @dataclass(frozen=True)
@@ -133,12 +132,10 @@ class AngularTrace:
 
 
 def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace | AngularTrace:
-    """A trace from a CSV file; time 0 is that of the first row.
+    """A trace from a CSV file of seconds, x, y, or of time_s, gaze_x_deg, gaze_y_deg and further columns.
 
-    Its columns are seconds, x, y, or time_s, gaze_x_deg, gaze_y_deg and further ones.
-
-    UserError if the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
-    backwards, or the trace lasts longer than `most_seconds`.
+    Time 0 is that of the first row. UserError if the file cannot be read, has other columns or no rows, a row
+    is not a gaze, time runs backwards, or the trace lasts longer than `most_seconds`.
     """
     seconds: list[float] = []
     gazes: list[tuple[float, float]] = []
@@ -192,11 +189,10 @@ def _parsed(path: Path, number: int, row: list[str], in_degrees: bool) -> tuple[
 
 
 def simulated(display: Display, width: int, height: int, duration: float, seed: int) -> GazeTrace:
-    """The gaze trace of a simulated viewer who looks around a frame: fixations, and saccades between them.
+    """The gaze trace of a simulated viewer, for some seconds: fixations, and saccades between them.
 
-    The frame, of a width and height in pixels, is shown around the display's centre; the duration is in
-    seconds. Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984). Same seed, same
-    trace.
+    The frame, of a width and height in pixels, is shown around the display's centre. Within a saccade the
+    gaze follows the minimum-jerk trajectory (Hogan 1984). Same seed, same trace.
     """
     size, rng = np.array([width, height]), np.random.default_rng(seed)
     seconds = np.arange(0, duration, 1 / _RATE).tolist()

@@ -5,9 +5,10 @@ In the band each pixel gets samples in proportion to its weight in the blend, wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -15,9 +16,12 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.base.traced_samples import Counts
+from compose.fovea.cells import Tiling
 from compose.fovea.foveation import FoveaRegion
-from compose.fovea.tiling import Tiling
 from compose.image.device_image import Box, DeviceImage, shape_of
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, Int, TensorXf, UInt
 
 # Steps of a dither mask per column and row, in units of 2 ** -32, that leave no clumps or stripes: the
 # golden ratio's counterpart in the plane (Roberts 2018, "The unreasonable effectiveness of quasirandom
@@ -27,25 +31,16 @@ _ACROSS, _DOWN = 3242174889, 2447445414
 
 @dataclass(frozen=True)
 class Disc:
-    """D pixels of a frame with their weights in the blend.
-
-    Attributes:
-        width, height: frame in pixels.
-        pixels: UInt (D,), row-major indices, each once.
-        weights: Float (D,), weight of the path-traced radiance in each of them, 0..1; it is 0 in all others.
-        box: the rectangle around the pixels; None if there are none, or no image is made of them.
-        covers_frame: whether the pixels are all of the frame and all weights are 1.
-        tiling: how the image is made of pixels scattered over the frame; None if it is the rectangle.
-    """
+    """D pixels of a frame with their weights in the blend."""
 
     arrays: Arrays
-    width: int
+    width: int  # of the frame, in pixels
     height: int
-    pixels: Any
-    weights: Any
-    box: Box | None
-    covers_frame: bool = False
-    tiling: Tiling | None = None
+    pixels: UInt  # (D,) row-major indices, each once
+    weights: Float  # (D,) of the path-traced radiance, 0..1; it is 0 in all other pixels
+    box: Box | None  # the rectangle around the pixels; None if there are none, or no image is made of them
+    covers_frame: bool = False  # whether the pixels are all of the frame and all weights are 1
+    tiling: Tiling | None = None  # of pixels scattered over the frame; None if the image is the rectangle
 
     @staticmethod
     def in_region(arrays: Arrays, region: FoveaRegion) -> Disc:
@@ -73,7 +68,7 @@ class Disc:
         return shape_of(self.box) if self.tiling is None else self.tiling.shape
 
     @cached_property
-    def inside(self) -> Any:
+    def inside(self) -> UInt:
         """UInt (D,), index of each pixel among those of the image, row by row."""
         assert self.box is not None, "a disc without pixels has no image"
         if self.tiling is not None:
@@ -88,7 +83,7 @@ class Disc:
         return index
 
     @cached_property
-    def _slots(self) -> Any:
+    def _slots(self) -> Int:
         """Int (h * w,), which of the disc's pixels each pixel of the image shows; -1 outside the disc."""
         plain, size = self.arrays.plain, self.shape[0] * self.shape[1]
         slots = dr.full(plain.Int, -1, size)
@@ -102,14 +97,14 @@ class Disc:
             dr.eval(slots)
         return slots
 
-    def of_frame(self, image: DeviceImage) -> list[Any]:
+    def of_frame(self, image: DeviceImage) -> list[Float]:
         """Three Floats (h * w,), the radiance that an image of the frame has in the pixels of this one."""
         if self.tiling is not None:
             return image.at(*self.tiling.pixels)
         assert self.box is not None, "a disc without pixels has no image"
         return image.of_box(self.box)
 
-    def images(self, channels: list[Any], grounds: list[Any]) -> list[Any]:
+    def images(self, channels: Sequence[Float], grounds: Sequence[Float | float]) -> list[Float]:
         """Floats (h * w,) of the image, not evaluated: channels (D,) in the disc, grounds elsewhere."""
         # At once: looked up one by one, each would take a kernel of its own.
         dr.eval(channels)
@@ -120,12 +115,12 @@ class Disc:
             for values, ground in zip(channels, grounds, strict=True)
         ]
 
-    def tensor(self, image: list[Any]) -> Any:
+    def tensor(self, image: list[Float]) -> TensorXf:
         """(h, w, 3) tensor of the image, three Floats (h * w,)."""
         plain = self.arrays.plain
         return plain.TensorXf(dr.ravel(plain.Array3f(*image)), (*self.shape, 3))
 
-    def frame_image(self, channels: list[Any]) -> NDArray[np.float32]:
+    def frame_image(self, channels: list[Float]) -> NDArray[np.float32]:
         """(H, W, C) host image of the frame from C Floats (D,) of the disc's pixels; 0 elsewhere."""
         size, plain = self.width * self.height, self.arrays.plain
         image = dr.zeros(plain.Float, size * len(channels))
@@ -136,8 +131,8 @@ class Disc:
         return np.array(image).reshape(self.height, self.width, len(channels))
 
 
-def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
-    """Row-major indices (D,) and weights (D,) of a region's pixels, not evaluated."""
+def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[UInt, Float]:
+    """Row-major indices and weights of a region's pixels."""
     plain, (table, size) = arrays.plain, region.table()
     values = uploaded(plain.UInt, table)
     # Read at a literal, each would be copied on its own.
@@ -177,7 +172,7 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     has_samples = count > 0
     # At once, before the pixels that are kept look it up.
     dr.eval(count, has_samples)
-    kept = dr.compress(has_samples)
+    kept = plain.UInt(dr.compress(has_samples))
     if not dr.width(kept):
         return replace(disc, pixels=dr.zeros(plain.UInt, 0), weights=dr.zeros(plain.Float, 0), box=None), spp
     pixels, count = (dr.gather(plain.UInt, of, kept) for of in (disc.pixels, count))
@@ -187,7 +182,7 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     return replace(disc, pixels=pixels, weights=weights), 1 if spp == 1 else Counts.of(count, spp)
 
 
-def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> tuple[DeviceImage, list[Any]]:
+def blend(periphery: DeviceImage, fovea: list[Float], disc: Disc) -> tuple[DeviceImage, list[Float]]:
     """The composite, (1 - w) periphery + w fovea in the disc of weights w, in the memory of the periphery.
 
     Copying that would take longer than the blend. The fovea is three Floats (D,), linear radiance of the

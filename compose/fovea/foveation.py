@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,9 +63,8 @@ class Foveation:
             if not np.isfinite(value) or value < 0:
                 raise UserError(f"{name} {value}: must be a percentage of the height, 0 or more")
         if self.fov_b > self.fov_a:
-            raise UserError(
-                f"fov-b {self.fov_b}: must be at most fov-a {self.fov_a}, because it is the inner radius"
-            )
+            most = f"at most fov-a {self.fov_a}, because it is the inner radius"
+            raise UserError(f"fov-b {self.fov_b}: must be {most}")
 
     def region(self, width: int, height: int) -> FoveaRegion:
         """The pixels and weights of this foveation on a frame of that size in pixels."""
@@ -82,31 +81,22 @@ class Foveation:
 
 @dataclass(frozen=True)
 class FoveaRegion:
-    """The pixels of a frame that the fovea covers.
+    """The pixels of a frame that the fovea covers."""
 
-    Attributes:
-        width, height: frame in pixels.
-        centre: (x, y) of the disc in pixels.
-        inner: radius in pixels inside which no splats are visible.
-        outer: radius in pixels of the disc.
-        covers_frame: whether no periphery is left.
-        faded: share of the splats' weight that is left out.
-    """
-
-    width: int
+    width: int  # of the frame, in pixels
     height: int
-    centre: tuple[float, float]
-    inner: float
-    outer: float
-    covers_frame: bool = False
-    faded: float = 0.0
+    centre: tuple[float, float]  # (x, y) of the disc in pixels
+    inner: float  # radius in pixels inside which no splats are visible
+    outer: float  # radius in pixels of the disc
+    covers_frame: bool = False  # whether no periphery is left
+    faded: float = 0.0  # share of the splats' weight that is left out
 
     @cached_property
     def _rows(self) -> _Rows:
-        """The disc's pixels by rows: work that grows with the frame's height only."""
-        radius, (x, y) = np.float64(np.inf if self.covers_frame else self.outer), self.centre
+        # Work that grows with the frame's height only.
+        radius, (x, y) = np.array(np.inf if self.covers_frame else self.outer), self.centre
         top, stop = _span(y, radius, self.height)
-        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
+        down_squared = (np.arange(int(top), int(stop)) + 0.5 - y) ** 2
         starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), self.width)
         counts = np.maximum(stops - starts, 0)
         used = np.flatnonzero(counts)
@@ -117,15 +107,15 @@ class FoveaRegion:
     @cached_property
     def count(self) -> int:
         """D, the number of the disc's pixels."""
-        return int(self._rows.count.sum())
+        return int(self._rows.counts.sum())
 
     @cached_property
     def pixels(self) -> NDArray[np.uint32]:
         """(D,) row-major indices of the pixels, in host memory."""
         rows = self._rows
-        first = (rows.top + np.arange(len(rows.start))) * self.width + rows.start
-        first -= np.cumsum(rows.count) - rows.count
-        return (np.arange(self.count) + np.repeat(first, rows.count)).astype(np.uint32)
+        first = (rows.top + np.arange(len(rows.starts))) * self.width + rows.starts
+        first -= np.cumsum(rows.counts) - rows.counts
+        return (np.arange(self.count) + np.repeat(first, rows.counts)).astype(np.uint32)
 
     def weight_image(self) -> NDArray[np.float32]:
         """(H, W) weight of the path-traced radiance, in host memory; that of the splats is one minus it."""
@@ -150,8 +140,8 @@ class FoveaRegion:
         Its sides are even where the frame allows it, since the fusion judges blocks of 2 x 2 pixels.
         """
         rows = self._rows
-        down = _evenly(rows.top, rows.top + len(rows.start), self.height)
-        return down, _evenly(int(rows.start.min()), int((rows.start + rows.count).max()), self.width)
+        down = _evenly(rows.top, rows.top + len(rows.starts), self.height)
+        return down, _evenly(int(rows.starts.min()), int((rows.starts + rows.counts).max()), self.width)
 
     def disc(self, arrays: Arrays) -> Disc:
         """The pixels and their weights on the device."""
@@ -161,19 +151,18 @@ class FoveaRegion:
         return Disc.in_region(arrays, self)
 
     def table(self) -> tuple[NDArray[np.uint32], int]:
-        """What a kernel needs to list the pixels, of a region with a pixel that does not cover the frame.
+        """What a kernel needs to list the pixels of a region with some that does not cover the frame; and P.
 
-        Returns:
-            Numbers of pixels above each of P rows, first columns of P rows, the first row, and the frame's
-            width; and as bits of float32 squared distances of P rows from the centre, the centre of column 0
-            as seen from there, the radius at which the weight is 0, its slope per pixel, and what is left out
-            of the splats' weight. And P, a power of two that is at least the number of rows.
+        P is a power of two that is at least the number of rows. Numbers of pixels above each of P rows, first
+        columns of P rows, the first row, the frame's width; and as bits of float32 squared distances of P
+        rows from the centre, the centre of column 0 as seen from there, the radius at which the weight is 0,
+        its slope per pixel, and what is left out of the splats' weight.
         """
         rows = self._rows
-        size = 1 << max(len(rows.start) - 1, 63).bit_length()
-        fill = 0, size - len(rows.start)
-        before = np.pad(np.cumsum(rows.count) - rows.count, fill, constant_values=self.count)
-        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]])
+        size = 1 << max(len(rows.starts) - 1, 63).bit_length()
+        fill = 0, size - len(rows.starts)
+        before = np.pad(np.cumsum(rows.counts) - rows.counts, fill, constant_values=self.count)
+        integers = np.concatenate([before, np.pad(rows.starts, fill), [rows.top, self.width]])
         numbers = [0.5 - self.centre[0], *self._slope, self.faded]
         floats = np.concatenate([np.pad(rows.down_squared, fill), numbers]).astype(np.float32)
         return np.concatenate([integers.astype(np.uint32), floats.view(np.uint32)]), size
@@ -197,21 +186,18 @@ class FoveaRegion:
         return (np.hypot(y[:, None], x[None, :]) >= self.inner) & (not self.covers_frame)
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Pixels of a disc in R rows, from the `top` one on.
-
-    Of each row (R,) there are the first column, the number of pixels, and the squared distance from the
-    centre.
-    """
+class _Rows(NamedTuple):
+    """Pixels of a disc in R rows."""
 
     top: int
-    start: NDArray[np.int64]
-    count: NDArray[np.int64]
-    down_squared: NDArray[np.float64]
+    starts: NDArray[np.int64]  # (R,), first columns
+    counts: NDArray[np.int64]  # (R,)
+    down_squared: NDArray[np.floating]  # (R,), distance of the row from the centre
 
 
-def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
+def _span(
+    centre: float, half: NDArray[np.floating], size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First pixel of an axis whose centre lies within `half` of a position, and the one after the last."""
     ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
     first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)

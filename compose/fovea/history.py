@@ -7,7 +7,7 @@ traced it: nothing is resampled twice, so that nothing blurs or drifts however l
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -17,8 +17,7 @@ from compose.base.arrays import Arrays, compressed, uploaded
 from compose.base.traced_samples import STILL, Moment
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
-from compose.fovea.earlier_views import EarlierView, EarlierViews
-from compose.fovea.reprojection import Reprojected, reproject
+from compose.fovea.reprojection import EarlierView, EarlierViews, Reprojected, reproject
 from compose.fovea.samples import (
     ALBEDO,
     COUNT,
@@ -34,6 +33,9 @@ from compose.fovea.samples import (
     with_light,
 )
 
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
+
 # Samples, and sample positions of auxiliary features, per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
 # The same where something has moved since: light changes, too. On `room-moving`, fused, half a sample makes
@@ -45,7 +47,7 @@ _MOST_POSITIONS = 64
 _HIT = 8
 _POINT, _GLOSS, _MOVER = slice(0, 3), 3, 4
 # What files of interrupted videos contain of a view: columns of its records (0) or hits (1), and as what.
-_SAVED: dict[str, tuple[int, int | slice, Any]] = {
+_SAVED: dict[str, tuple[int, int | slice, type[np.generic]]] = {
     "count": (0, COUNT, np.float32),
     "light": (0, slice(RADIANCE.start, SQUARES.stop), np.float32),
     "places": (0, POSITIONS, np.float32),
@@ -70,7 +72,7 @@ class History:
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
 
-    def state(self) -> dict[str, NDArray[np.generic]]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """Host arrays from which `restored` continues: those of the current view, without earlier views."""
         view = self._view
         if view is None:
@@ -81,13 +83,13 @@ class History:
         return {**known, **moment, "pattern": np.array([view.pattern])}
 
     @staticmethod
-    def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
+    def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[Any]]) -> History:
         """A history of a camera's view from the `state` of another one."""
         history = History(arrays)
         # Files of videos that earlier versions began know of nothing that moves.
         if "time" in state:
-            history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))  # type: ignore[arg-type]
-        pattern = int(state["pattern"][0])  # type: ignore[call-overload]
+            history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))
+        pattern = int(state["pattern"][0])
         view = history._view = _View(arrays, camera, history._earlier.moment, pattern)
         size = camera.width * camera.height
         tables = [np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT)]
@@ -101,7 +103,7 @@ class History:
         """Says which moment is seen from now on."""
         self._earlier.moment = moment
 
-    def sampled(self, camera: Camera, pixels: Any, seed: int) -> tuple[Any, int]:
+    def sampled(self, camera: Camera, pixels: UInt, seed: int) -> tuple[UInt | int, int]:
         """UInt, samples that pixels (D,) have from this very camera, and the seed of their pattern.
 
         With these the tracer places further samples where earlier ones left gaps. A camera without samples
@@ -114,7 +116,7 @@ class History:
         dr.eval(count)
         return count, view.pattern
 
-    def unseen(self, camera: Camera, pixels: Any, positions: int) -> Any:
+    def unseen(self, camera: Camera, pixels: UInt, positions: int) -> UInt:
         """Those of some pixels whose auxiliary features should be traced (again).
 
         They are means over fewer sample positions than `positions`, or than the pixel has samples, up to 64.
@@ -131,11 +133,10 @@ class History:
         return compressed(pixels, lacking | (own[POSITIONS] == 0))
 
     def see(self, camera: Camera, seen: Samples, positions: int, seed: int, disc: Disc) -> None:
-        """Makes the camera's view the current one, and adds auxiliary features of it.
+        """Makes the camera's view the current one; the one before, if of the same size, becomes earlier.
 
-        These are of some pixels `seen` in a disc, as means over a number of sample positions; the light of
-        `seen` does not count. The seed is that of the samples to come. The view before, if of the same size,
-        becomes an earlier one.
+        Auxiliary features are added of some pixels `seen` in a disc, whose light does not count, as means
+        over a number of sample positions. The seed is that of the samples to come.
         """
         view = self._view
         if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
@@ -151,24 +152,24 @@ class History:
         if seen.size:
             view.add_features(seen, positions)
 
-    def recall(self, pixels: Any) -> Samples:
+    def recall(self, pixels: UInt) -> Samples:
         """What is known of pixels (D,) of the current view, all of which have been seen."""
         view = self._current()
         known = means(self._with_past(view, view.record(pixels), pixels))
         hits = view.hit(pixels)
         recalled = Samples(pixels, *known, hits[_POINT], hits[_GLOSS], hits[_MOVER])
-        dr.eval(recalled)
+        dr.eval(vars(recalled))
         return recalled
 
     def remember(self, new: Samples) -> None:
-        """Adds samples of the current view."""
+        """Adds light of the current view."""
         self._current().add_light(new)
 
     def _current(self) -> _View:
         assert self._view is not None, "nothing was seen"
         return self._view
 
-    def _with_past(self, view: _View, records: list[Any], pixels: Any) -> list[Any]:
+    def _with_past(self, view: _View, records: list[Float], pixels: UInt) -> list[Float]:
         """Records of pixels (D,) of the current view with what earlier views contribute to them."""
         if self._past is None:
             return records
@@ -186,11 +187,8 @@ class History:
 class _View:
     """What has been traced from one camera at a moment, for all N = H * W pixels.
 
-    Attributes:
-        pattern: seed of the pattern of its samples.
-        records: flat Float, N records (compose.fovea.samples).
-        hits: flat Float, for each pixel position, class of gloss and mover of what the first sample hit.
-        known: Bool (N,), pixels of which anything is known.
+    Flat Floats: N records (compose.fovea.samples), and hits: position, class of gloss and mover of what the
+    first sample hit. `known`, Bool (N,), are pixels of which anything is known.
     """
 
     def __init__(self, arrays: Arrays, camera: Camera, moment: Moment, pattern: int):
@@ -199,15 +197,15 @@ class _View:
         self.records, self.hits = (dr.zeros(arrays.plain.Float, width * size) for width in (RECORD, _HIT))
         self.known = dr.zeros(arrays.plain.Bool, size)
 
-    def record(self, pixels: Any) -> list[Any]:
-        """Sixteen Floats (D,), the records of pixels."""
+    def record(self, pixels: UInt) -> list[Float]:
+        """Sixteen Floats (D,)."""
         return self._read(self.records, RECORD, pixels)
 
-    def hit(self, pixels: Any) -> list[Any]:
-        """Eight Floats (D,), what the first samples of pixels hit."""
+    def hit(self, pixels: UInt) -> list[Float]:
+        """Eight Floats (D,), what the first samples hit."""
         return self._read(self.hits, _HIT, pixels)
 
-    def _read(self, table: Any, size: int, pixels: Any) -> list[Any]:
+    def _read(self, table: Float, size: int, pixels: UInt) -> list[Float]:
         found = list(self._arrays.packet(table, size, pixels))
         # What still waits to be read from a table would have all of it copied when it is written.
         dr.eval(found)
@@ -218,7 +216,8 @@ class _View:
 
         The memory stays: as much of it anew in each frame takes longer than all that is written to it.
         """
-        plain, pixels = self._arrays.plain, dr.compress(self.known)
+        plain = self._arrays.plain
+        pixels = plain.UInt(dr.compress(self.known))
         if dr.width(pixels):
             for table, size in ((self.records, RECORD), (self.hits, _HIT)):
                 self._arrays.put_packet(table, [plain.Float(0)] * size, pixels)
@@ -245,7 +244,7 @@ class _View:
 
     def as_earlier(self, now: Moment) -> EarlierView:
         """The pixels that have samples, as they are worth now."""
-        known = dr.compress(self.known)
+        known = self._arrays.plain.UInt(dr.compress(self.known))
         pixels = compressed(known, self.record(known)[COUNT] > 0) if dr.width(known) else known
         viewpoint = self.camera.position
         if not dr.width(pixels):

@@ -1,4 +1,4 @@
-"""Samples of earlier views, reprojected to where a camera sees them now, if they lie on visible surfaces.
+"""Samples of earlier views in device memory, and where a camera sees them now, on visible surfaces.
 
 All views go through the same few kernels: each sample looks up the pixel in which it is visible, the samples
 are sorted by pixel, and each pixel adds up its own, oldest first. So the same samples give the same sums, to
@@ -7,19 +7,34 @@ the bit, on any number of threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
-from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR, UNSTEADY
+from compose.base.traced_samples import ALWAYS, DIFFUSE, GLOSSY, SPECULAR, UNSTEADY
 from compose.camera.camera import Camera
-from compose.fovea.earlier_views import EarlierViews, SamplePlaces
 from compose.fovea.samples import RECORD, Samples
 from compose.image.device_image import Box, shape_of
 
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, Float64, UInt
+
+# Views that are remembered.
+MOST_VIEWS = 16
+# Floats that tell where a sample is, loaded as one packet.
+_PLACE = 4
+# The last float of a place holds mover, view and class of gloss: 20 of the 24 bits that it holds exactly.
+_GLOSS_BITS, _VIEW_BITS = 2, (MOST_VIEWS - 1).bit_length()
+# Moments after which samples are dropped, since light has changed: shadows of two moments ago are seen.
+MOST_MOMENTS = 1
+# Samples for which there is room at first: a disc of a small frame.
+_LEAST_ROOM = 1 << 12
 # Relative difference of distances up to which two hits are taken for the same surface.
 SAME_SURFACE = 0.005
 # Floats of a pixel that has been sampled, and of the surfaces around a pixel.
@@ -36,17 +51,124 @@ _FARTHEST = 0x7F800000
 
 
 @dataclass(frozen=True)
+class EarlierView:
+    """What was traced from one camera, for N of its pixels."""
+
+    records: list[Float]  # sixteen (N,) (compose.fovea.samples), at least one sample each
+    position: list[Float]  # three (N,), of what was hit, in the world; of what moves, where that is at rest
+    gloss: Float  # (N,), of what was hit, as the mover
+    mover: Float
+    viewpoint: NDArray[np.float64]  # (3,) position of the camera
+    time: float  # that it showed, from 0 to 1
+
+
+class EarlierViews:
+    """The samples of the last MOST_VIEWS views, one after another in a ring; they move only when it grows.
+
+    `moment` is seen now, and set before views of it are added; `viewpoints` (MOST_VIEWS, 3) are positions of
+    the cameras by number of their view, far away where there is none.
+    """
+
+    def __init__(self, arrays: Arrays):
+        self.arrays, self.moment = arrays, ALWAYS
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets all views."""
+        self.viewpoints = np.full((MOST_VIEWS, 3), np.inf)
+        # Times of views by number; numbers of samples of views, the oldest first.
+        self._times = np.full(MOST_VIEWS, np.nan)
+        self._sizes: deque[int] = deque()
+        self._added = self._first = 0
+        self._room = _LEAST_ROOM
+        self._places, self._records = self._empty()
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of all views."""
+        return sum(self._sizes)
+
+    def of_now(self) -> NDArray[np.bool_]:
+        """(MOST_VIEWS,) by number, whether a view shows the moment that is seen now."""
+        return self._times == self.moment.time
+
+    def add(self, view: EarlierView) -> None:
+        """Adds a view; the oldest go where there are MOST_VIEWS, or MOST_MOMENTS other than now."""
+        if len(self._sizes) == MOST_VIEWS:
+            self._drop_oldest()
+        now = self.moment.time
+        while len({view.time, *self._times[~np.isnan(self._times)]} - {now}) > MOST_MOMENTS:
+            self._drop_oldest()
+        plain, constant = self.arrays.plain, self.arrays.constant
+        number, size, before = self._added % MOST_VIEWS, dr.width(view.gloss), self.samples
+        self.viewpoints[number], self._times[number] = view.viewpoint, view.time
+        self._sizes.append(size)
+        self._added += 1
+        if before + size > self._room:
+            self._grow(before, before + size)
+        if size:
+            tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
+            tag |= constant(number << _GLOSS_BITS)
+            slot = self._slot(dr.arange(plain.UInt, size) + constant(before))
+            self._scatter([*view.position, plain.Float(tag)], view.records, slot)
+
+    def _drop_oldest(self) -> None:
+        number = (self._added - len(self._sizes)) % MOST_VIEWS
+        self.viewpoints[number], self._times[number] = np.inf, np.nan
+        self._first = (self._first + self._sizes.popleft()) % self._room
+
+    def places(self, index: UInt) -> tuple[list[Float], UInt, UInt, UInt]:
+        """Where the samples at an index (M,) are; the oldest view's first sample has index 0.
+
+        Three Floats (M,), in the world, or at rest if it moves; UInts (M,): the class of gloss of what was
+        hit, the number of the view, less than MOST_VIEWS, and the number of what was hit among what moves.
+        """
+        *position, tag = self.arrays.packet(self._places, _PLACE, self._slot(index))
+        tag = self.arrays.plain.UInt(tag)
+        gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
+        return position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS)
+
+    def records(self, index: UInt) -> list[Float]:
+        """Sixteen Floats (M,): the records of the samples at an index."""
+        return list(self.arrays.packet(self._records, RECORD, self._slot(index)))
+
+    def _slot(self, index: UInt) -> UInt:
+        """Where in the ring the samples at an index are."""
+        # Its size is a power of two.
+        return index + self.arrays.constant(self._first) & self.arrays.constant(self._room - 1)
+
+    def _empty(self) -> tuple[Float, Float]:
+        Float = self.arrays.plain.Float
+        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, RECORD * self._room)
+
+    def _grow(self, samples: int, wanted: int) -> None:
+        """Moves all samples to the start of a ring that has room for as many as wanted."""
+        index = dr.arange(self.arrays.plain.UInt, samples)
+        slot, packet = self._slot(index), self.arrays.packet
+        places, records = packet(self._places, _PLACE, slot), packet(self._records, RECORD, slot)
+        self._first, self._room = 0, 1 << (wanted - 1).bit_length()
+        self._places, self._records = self._empty()
+        if samples:
+            self._scatter(places, records, index)
+
+    def _scatter(self, places: Sequence[Float], records: Sequence[Float], slot: UInt) -> None:
+        self.arrays.put_packet(self._places, places, slot)
+        self.arrays.put_packet(self._records, records, slot)
+        dr.eval(self._places, self._records)
+
+
+@dataclass(frozen=True)
 class VisibleSurfaces:
     """The surfaces that samples of a view hit, around each pixel of the rectangle in which these lie.
 
-    The table is a flat Float, of each pixel, row by row: the least and the greatest distance at which a
+    The table has four floats of each pixel, row by row: the least and the greatest distance at which a
     surface may be that is visible in it or in the eight around it; 1 if the pixel itself shows something that
     mirrors or refracts, else 0; and 0.
     """
 
     arrays: Arrays
     box: Box
-    table: Any
+    table: Float
 
     @staticmethod
     def of(arrays: Arrays, camera: Camera, new: Samples, box: Box) -> VisibleSurfaces:
@@ -65,20 +187,16 @@ class VisibleSurfaces:
         dr.eval(sampled)
         return VisibleSurfaces(arrays, box, _around(arrays, sampled, height, width))
 
-    def contain(self, pixel: Any, distance: Any, gloss: Any, active: Any) -> Any:
-        """Whether hits lie on these surfaces, if active, Bool (M,).
-
-        Given are the pixel of the rectangle that each is in, UInt (M,), its distance from the camera, Float
-        (M,), and its class of gloss, UInt (M,).
-        """
+    def contain(self, pixel: UInt, distance: Float, gloss: UInt, active: Bool) -> Bool:
+        """Whether hits (M,) in pixels of the rectangle lie on these surfaces; not if they are not active."""
         around = self.arrays.packet(self.table, _AROUND, pixel, active)
         same = active & (distance >= around[0]) & (distance <= around[1])
         # Specular objects are thin in places, and what is visible beside them is far behind them.
         return same & ((around[2] == 0) | (gloss == SPECULAR))
 
 
-def _around(arrays: Arrays, sampled: Any, height: int, width: int) -> Any:
-    """Table of the surfaces around each pixel, from that of the pixels and of a frame around them."""
+def _around(arrays: Arrays, sampled: Float, height: int, width: int) -> Float:
+    """The table of surfaces, from that of the pixels and of a frame around them."""
     plain, stride = arrays.plain, arrays.constant(width + 2)
     index = dr.arange(plain.UInt, height * width)
     row, column = arrays.rows_columns(index, width)
@@ -103,9 +221,9 @@ class Reprojected:
 
     arrays: Arrays
     box: Box
-    records: Any
+    records: Float
 
-    def at(self, pixels: Any, width: int) -> list[Any]:
+    def at(self, pixels: UInt, width: int) -> list[Float]:
         """Sixteen Floats (D,), records of pixels (D,) of a frame of that width; 0 outside the rectangle."""
         arrays = self.arrays
         numbers = [*(side.start for side in self.box), *shape_of(self.box)]
@@ -118,10 +236,9 @@ class Reprojected:
 
 
 def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Reprojected | None:
-    """What earlier views contribute to a camera's view, without what no longer holds.
+    """What earlier views contribute to a camera's view in a rectangle; None without samples on either side.
 
-    New samples of it, all in a rectangle, show the surfaces that are visible now. The sums are over that
-    rectangle; None without samples on either side.
+    New samples of the view, all in the rectangle, show the surfaces that are visible now.
 
     Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
     at the border of a pixel must not end up on its other side. Distances and sums are float32.
@@ -134,23 +251,23 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
     return Reprojected(views.arrays, box, records)
 
 
-def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[Any, Any]:
-    """Where M samples of earlier views are visible among the P pixels of the surfaces' rectangle.
+def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[UInt, UInt]:
+    """The pixel (M,) of P in which each earlier sample is visible, and how many (P + 1,) are in each.
 
-    UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on a
-    surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
+    P stands for samples that lie elsewhere, are hidden, or are on a surface that is not visible or looks
+    different now.
     """
     arrays, plain = views.arrays, views.arrays.plain
     height, width = shape_of(surfaces.box)
-    place = views.places(dr.arange(plain.UInt, views.samples))
-    place = replace(place, position=views.moment.placed(arrays, place.position, place.mover))
-    sight = _relative(arrays, place.position, _eye(arrays, camera))
+    rest, gloss, view, mover = views.places(dr.arange(plain.UInt, views.samples))
+    position = views.moment.placed(arrays, rest, mover)
+    sight = _relative(arrays, position, _eye(arrays, camera))
     across, down, inside = _quarters(arrays, sight, camera, surfaces.box)
     pixel = (down >> 1) * arrays.constant(width) + (across >> 1)
     distance = dr.sqrt(plain.Float(_product(sight, sight)))
     # Whatever was visible from this very position still is.
-    certain, unchanged = _compared(views, place, sight, camera)
-    holds = inside & (certain | (surfaces.contain(pixel, distance, place.gloss, inside) & unchanged))
+    certain, unchanged = _compared(views, (gloss, view, mover), position, sight, camera)
+    holds = inside & (certain | (surfaces.contain(pixel, distance, gloss, inside) & unchanged))
     # Quarters of pixels: four times the pixel's index, plus 0 to 3; 4 P for those that are nowhere.
     quarter = pixel << 2 | (down & 1) << 1 | across & 1
     quarter = dr.select(holds, quarter, arrays.constant(4 * height * width))
@@ -161,7 +278,7 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     front = dr.full(plain.UInt, _FARTHEST, 4 * height * width + 1)
     dr.scatter_reduce(dr.ReduceOp.Min, front, bits, quarter)
     dr.eval(front)
-    as_float = lambda bits: dr.reinterpret_array(plain.Float, bits)  # noqa: E731
+    as_float = lambda bits: plain.Float(dr.reinterpret_array(plain.Float, bits))  # noqa: E731
     # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
     nearest = as_float(dr.gather(plain.UInt, front, quarter))
     seen = certain | (as_float(bits) <= nearest * (1 + SAME_SURFACE))
@@ -174,44 +291,44 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     return pixel, count
 
 
-def _summed(views: EarlierViews, pixel: Any, count: Any, pixels: int) -> Any:
+def _summed(views: EarlierViews, pixel: UInt, count: UInt, pixels: int) -> Float:
     """Flat Float of the records of all pixels, from what `_arrivals` found."""
-    arrays, UInt, Float = views.arrays, views.arrays.plain.UInt, views.arrays.plain.Float
+    arrays, plain = views.arrays, views.arrays.plain
     order = arrays.argsort(pixel, pixels + 1)
-    target = dr.arange(UInt, pixels)
-    start, count = (dr.gather(UInt, table, target) for table in (dr.prefix_sum(count), count))
+    target = dr.arange(plain.UInt, pixels)
+    start, count = (dr.gather(plain.UInt, table, target) for table in (dr.prefix_sum(count), count))
     end = start + count
 
-    def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
-        more = views.records(dr.gather(UInt, order, i))
+    def add(i: UInt, sums: list[Float]) -> tuple[UInt, list[Float]]:
+        more = views.records(dr.gather(plain.UInt, order, i))
         return i + 1, [one + other for one, other in zip(sums, more, strict=True)]
 
-    # Built one by one: [Float(0)] * n would be a single accumulator n times.
-    nothing = [Float(0) for _ in range(RECORD)]
-    _, sums = dr.while_loop((start, nothing), lambda i, sums: i < end, add, mode="symbolic")
+    def remains(i: UInt, sums: list[Float]) -> Bool:
+        return i < end
+
+    # Built one by one: [plain.Float(0)] * n would be a single accumulator n times.
+    nothing = [plain.Float(0) for _ in range(RECORD)]
+    _, sums = dr.while_loop((start, nothing), remains, add, mode="symbolic")
     # Evaluated before they are scattered: otherwise the scatter runs the loop again.
     dr.eval(sums)
-    table = dr.empty(Float, RECORD * pixels)
+    table = dr.empty(plain.Float, RECORD * pixels)
     arrays.put_packet(table, sums, target)
     dr.eval(table)
     return table
 
 
-def _eye(arrays: Arrays, camera: Camera) -> list[Any]:
+def _eye(arrays: Arrays, camera: Camera) -> list[Float64]:
     """Three Float64 of width 1, the camera's position."""
     return [dr.opaque(arrays.plain.Float64, side) for side in camera.position.tolist()]
 
 
-def _relative(arrays: Arrays, position: list[Any], origin: list[Any]) -> list[Any]:
-    """Three Float64 (M,): vectors to positions from origins, of width 1 or (M,)."""
+def _relative(arrays: Arrays, position: list[Float] | list[Float64], origin: list[Float64]) -> list[Float64]:
+    """Vectors to positions from origins, of width 1 or (M,)."""
     return [arrays.plain.Float64(at) - start for at, start in zip(position, origin, strict=True)]
 
 
-def _quarters(arrays: Arrays, sight: list[Any], camera: Camera, box: Box) -> tuple[Any, Any, Any]:
-    """Column and row among the quarters of a rectangle's pixels, and whether it holds the sample.
-
-    Lines of sight are three Float64 (M,), from the camera to the samples, in the world.
-    """
+def _quarters(arrays: Arrays, sight: list[Float64], camera: Camera, box: Box) -> tuple[UInt, UInt, Bool]:
+    """Column and row among the quarters of a rectangle's pixels, and whether it holds the sample."""
     plain = arrays.plain
     number = lambda value: dr.opaque(plain.Float64, float(value))  # noqa: E731
     x, y, depth = (
@@ -229,27 +346,33 @@ def _quarters(arrays: Arrays, sight: list[Any], camera: Camera, box: Box) -> tup
     return across, down, inside
 
 
-def _compared(views: EarlierViews, place: SamplePlaces, sight: list[Any], camera: Camera) -> tuple[Any, Any]:
+def _compared(
+    views: EarlierViews,
+    tags: tuple[UInt, UInt, UInt],
+    position: list[Float] | list[Float64],
+    sight: list[Float64],
+    camera: Camera,
+) -> tuple[Bool, Bool]:
     """Whether samples come from this very viewpoint, and whether their surface looks the same from here.
 
-    Places and lines of sight of M samples are those of now.
+    Tags are gloss, view and mover; positions and lines of sight are those of now.
     """
+    gloss, view, mover = tags
     plain, now = views.arrays.plain, views.of_now()
     same = (np.abs(views.viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1) & now
     table = uploaded(plain.Float64, np.column_stack([views.viewpoints, same + _NOW * now]))
-    *origin, kind = views.arrays.packet(table, 4, place.view)
-    before = _relative(views.arrays, place.position, origin)
+    *origin, kind = views.arrays.packet(table, 4, view)
+    before = _relative(views.arrays, position, origin)
     # Compared by their squares, which takes no root; both cosines are positive.
     product = _product(before, sight)
-    least = dr.select(place.gloss == GLOSSY, plain.Float64(_GLOSSY_COSINE**2), _SPECULAR_COSINE**2)
+    least = dr.select(gloss == GLOSSY, plain.Float64(_GLOSSY_COSINE**2), _SPECULAR_COSINE**2)
     unturned = (product > 0) & (
         product * product >= least * _product(before, before) * _product(sight, sight)
     )
-    is_diffuse = place.gloss == DIFFUSE
-    lasting = (is_diffuse | unturned) & (kind >= _NOW) | is_diffuse & (place.mover != UNSTEADY)
+    is_diffuse = gloss == DIFFUSE
+    lasting = (is_diffuse | unturned) & (kind >= _NOW) | is_diffuse & (mover != UNSTEADY)
     return kind > _NOW, lasting
 
 
-def _product(one: list[Any], other: list[Any]) -> Any:
-    """Scalar product of two vectors."""
-    return sum(a * b for a, b in zip(one, other, strict=True))
+def _product(one: list[Float64], other: list[Float64]) -> Float64:
+    return dr.sum([a * b for a, b in zip(one, other, strict=True)])

@@ -11,7 +11,7 @@ the cell shows the farthest surface that it met, which is the background beside 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -20,6 +20,9 @@ from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen
 from compose.camera.camera import Camera
 from compose.image.device_image import DeviceImage
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # Side of cells in pixels. One ray for each takes 3 ms for a frame of 640 x 480 on two cores; with cells of 8
 # pixels 1.5 ms, and 1.5 dB worse where a viewer steps aside (`room`).
@@ -46,15 +49,13 @@ def grid(camera: Camera) -> tuple[int, int]:
 class _Views:
     """Where points of a view lie in an image of another one; all are of width 1."""
 
-    across: list[Any]  # three Floats each, rows of what takes pixels of the view to those of the image
-    down: list[Any]
-    ahead: list[Any]
-    aside: list[Any]  # three Floats: how a point at depth 1 moves, since the viewpoints are not the same
-    nearest: Any  # Float, greatest inverse depth at which a search begins
-    width: Any  # UInts, of both frames, and of the cells
-    height: Any
-    columns: Any
-    rows: Any
+    turn: list[list[Float]]  # 3 x 3, takes pixels of the view to those of the image
+    aside: list[Float]  # three: how a point at depth 1 moves, since the viewpoints are not the same
+    nearest: Float  # greatest inverse depth at which a search begins
+    width: UInt  # of both frames
+    height: UInt
+    columns: UInt  # of the cells
+    rows: UInt
 
     @staticmethod
     def of(arrays: Arrays, camera: Camera, newest: Camera) -> _Views:
@@ -64,45 +65,37 @@ class _Views:
         moved = camera.world_to_camera @ newest.camera_to_world
         turn = own @ moved[:3, :3] @ np.linalg.inv(other)
         fastest = max(camera.fx, camera.fy) * float(np.linalg.norm(moved[:3, 3]))
-        nearest = _REACH / max(fastest, _LEAST)
-        numbers = arrays.scalars(arrays.plain.Float, [*turn.ravel(), *own @ moved[:3, 3], nearest])
-        across, down, ahead, aside = (numbers[k : k + 3] for k in range(0, 12, 3))
+        numbers = [*turn.ravel(), *own @ moved[:3, 3], _REACH / max(fastest, _LEAST)]
+        numbers = arrays.scalars(arrays.plain.Float, numbers)
+        *turned, aside = (numbers[k : k + 3] for k in range(0, 12, 3))
         sizes = map(arrays.constant, (camera.width, camera.height, *reversed(grid(camera))))
-        return _Views(across, down, ahead, aside, numbers[12], *sizes)
+        return _Views(turned, aside, numbers[12], *sizes)
 
 
 class _Sight:
     """Lines of sight of a view through positions in pixels, Floats (N,), as they run through the image."""
 
-    def __init__(self, views: _Views, x: Any, y: Any):
+    def __init__(self, views: _Views, x: Float, y: Float):
         self._views = views
-        rows = views.across, views.down, views.ahead
-        self._far = [dr.fma(row[0], x, dr.fma(row[1], y, row[2])) for row in rows]
+        self._far = [dr.fma(a, x, dr.fma(b, y, c)) for a, b, c in views.turn]
 
-    def at(self, nearness: Any) -> tuple[Any, Any]:
+    def at(self, nearness: Float) -> tuple[Float, Float]:
         """Position in the image, in pixels, of what is at inverse depths in the view."""
         x, y, z = (dr.fma(nearness, a, f) for a, f in zip(self._views.aside, self._far, strict=True))
         z = dr.maximum(z, _LEAST)
         return x / z, y / z
 
-    def seen_at(self, nearness: Any) -> Any:
+    def seen_at(self, nearness: Float) -> Float:
         """Inverse depth in the view of what has another one in the image."""
         return nearness * self._far[2] / dr.maximum(1 - nearness * self._views.aside[2], _LEAST)
 
 
-def warped(image: DeviceImage, nearness: Any, camera: Camera, newest: Camera) -> DeviceImage:
+def warped(image: DeviceImage, nearness: Float, camera: Camera, newest: Camera) -> DeviceImage:
     """An image of a camera's view as the newest camera sees it; the image itself if the two are equal.
 
-    What lies beyond the image continues its border.
-
-    Args:
-        image: any values, all finite.
-        nearness: Float (rows * columns,), inverse depth along the view axis, 0 or more, of what the camera
-            sees at the centres of the cells of its `grid`, in units of the cameras' positions.
-        camera, newest: the image's, and that of the result, with frames of its size.
-
-    Raises:
-        ValueError: sizes of frames, image and grid do not fit.
+    What lies beyond the image, whose values are all finite, continues its border. `nearness` (rows *
+    columns,) is the inverse depth along the view axis, 0 or more, of what the camera sees at the centres of
+    the cells of its `grid`, in units of the cameras' positions. ValueError if sizes do not fit.
     """
     arrays, size = image.arrays, (camera.width, camera.height)
     rows, columns = grid(camera)
@@ -120,8 +113,8 @@ def warped(image: DeviceImage, nearness: Any, camera: Camera, newest: Camera) ->
 
 
 def warped_values(
-    arrays: Arrays, views: _Views, nearness: Any, values: Any, stride: Any, channels: int, count: int
-) -> Any:
+    arrays: Arrays, views: _Views, nearness: Float, values: Float, stride: UInt, channels: int, count: int
+) -> Float:
     """Float (3 count,), all pixels of the view, row by row."""
     plain = arrays.plain
     outlined = _outlined(arrays, views, nearness)
@@ -132,13 +125,13 @@ def warped_values(
     column = dr.arange(plain.UInt, count) - row * views.width
     x, y = plain.Float(column) + 0.5, plain.Float(row) + 0.5
     taps = _taps(arrays, x * (1 / CELL), y * (1 / CELL), views.columns, views.rows)
-    own = sum(weight * dr.gather(plain.Float, found, i * views.columns + j) for i, j, weight in taps)
+    own = dr.sum([weight * dr.gather(plain.Float, found, i * views.columns + j) for i, j, weight in taps])
     total = [plain.Float(0) for _ in range(3)]
     for i, j, weight in _taps(arrays, *_Sight(views, x, y).at(own), views.width, views.height):
         first = (i * stride + j) * channels
         for c in range(3):
             total[c] = dr.fma(weight, dr.gather(plain.Float, values, first + c), total[c])
-    flat = dr.ravel(plain.Array3f(*total))
+    flat: Float = plain.Float(dr.ravel(plain.Array3f(*total)))
     dr.eval(flat)
     return flat
 
@@ -146,7 +139,7 @@ def warped_values(
 _warped = Frozen(warped_values, by_size=True)
 
 
-def _outlined(arrays: Arrays, views: _Views, nearness: Any) -> Any:
+def _outlined(arrays: Arrays, views: _Views, nearness: Float) -> Float:
     """Inverse depths of cells in which those beside something nearer count as that.
 
     It keeps its outline then, with a rim of what surrounds it, though cells are larger than pixels.
@@ -164,7 +157,7 @@ def _outlined(arrays: Arrays, views: _Views, nearness: Any) -> Any:
     return dr.select(nearest > _EDGE * nearness, nearest, nearness)
 
 
-def _found(arrays: Arrays, views: _Views, nearness: Any) -> Any:
+def _found(arrays: Arrays, views: _Views, nearness: Float) -> Float:
     """Float (rows * columns,), inverse depth of what is seen at the centre of each cell of the view."""
     plain = arrays.plain
     cell = dr.arange(plain.UInt, dr.width(nearness))
@@ -193,7 +186,7 @@ def _found(arrays: Arrays, views: _Views, nearness: Any) -> Any:
     return dr.select(seen < 0, background, seen)
 
 
-def _taps(arrays: Arrays, x: Any, y: Any, width: Any, height: Any) -> list[tuple[Any, Any, Any]]:
+def _taps(arrays: Arrays, x: Float, y: Float, width: UInt, height: UInt) -> list[tuple[UInt, UInt, Float]]:
     """Rows, columns and weights of the four samples of a grid around positions, or of those at its border.
 
     Sizes and positions count samples, whose centres lie at +0.5.

@@ -21,8 +21,7 @@ _SPREAD = 0.5
 class Features:
     """What the network sees at full and at half resolution, and texture that it may add to the splats.
 
-    Texture is three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12 pixels,
-    which is what a blur of that size removes from an image.
+    Texture is three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12 pixels.
     """
 
     # The order is that of the network's weights in files.

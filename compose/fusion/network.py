@@ -1,8 +1,8 @@
 """The fitted part of the fusion: a small convolutional network, its estimate, and how much of it is shown.
 
 The network alone may be worse than the better parent where it has seen too few views or too noisy ones. What
-it is worth has therefore been tried on views that it had not seen (compose.fusion.proof), in cells of sample
-count, enlargement and denoiser.
+it is worth has therefore been tried on views that it had not seen (compose.fusion.fitting), in cells of
+sample count, enlargement and denoiser.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 from collections.abc import Mapping, Sequence
 from functools import cache
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -49,9 +50,7 @@ Cell = tuple[int, int, int]
 
 def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
     """The cell nearest to some conditions, by ratios of numbers."""
-    nearest = lambda values, value: min(  # noqa: E731
-        range(len(values)), key=lambda index: abs(math.log(values[index] / value))
-    )
+    nearest = lambda values, value: int(np.argmin(np.abs(np.log(values) - math.log(value))))  # noqa: E731
     return int(quick), nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement)
 
 
@@ -62,8 +61,8 @@ def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) ->
     """
     by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
     table = _steps().to(shares.device) @ by_count
-    last = len(table) - 1
-    step = (_STEPS * torch.log2(count[:, 0].clamp(min=1))).round().clamp(max=last).long()  # (N, H, W)
+    step = _STEPS * torch.log2(count[:, 0].clamp(min=1))  # (N, H, W)
+    step = step.round().clamp(max=len(table) - 1).long()
     return table[step].permute(0, 3, 1, 2).contiguous()
 
 
@@ -76,27 +75,16 @@ def _steps() -> Tensor:
 
 def _weights(knots: tuple[float, ...], at: float) -> Tensor:
     """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
-    weights = torch.zeros(len(knots))
-    at = min(max(at, knots[0]), knots[-1])
-    upper = max(1, next(index for index, knot in enumerate(knots) if knot >= at))
-    way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
-    weights[upper - 1], weights[upper] = 1 - way, way
-    return weights
+    weights = [np.interp(math.log(at), np.log(knots), one) for one in np.eye(len(knots))]
+    return torch.tensor(weights, dtype=torch.float32)
 
 
 class Fusion(torch.nn.Module):
-    """The network: what each parent is worth, from what all of them show.
-
-    It sees blocks of 2 x 2 pixels, and judges every pixel of them.
-
-    Attributes:
-        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) in what is shown, for each cell.
-        gains: decibels by which that was better than the better parent on unseen views, for each cell.
-    """
+    """The network: what each parent is worth, from what all of them show, in blocks of 2 x 2 pixels."""
 
     WIDTH = 24  # channels of the hidden layers
-    shares: Tensor
-    gains: Tensor
+    shares: Tensor  # (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) in what is shown, for each cell
+    gains: Tensor  # decibels by which that was better than the better parent on unseen views, for each cell
 
     def __init__(self) -> None:
         super().__init__()
@@ -108,8 +96,7 @@ class Fusion(torch.nn.Module):
         torch.nn.init.zeros_(self.judge.bias)
         gains = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS))
         # Until anything is tried, all is the network's.
-        shares = torch.stack([gains + 1, gains, gains], -1)
-        self.register_buffer("shares", shares)
+        self.register_buffer("shares", torch.stack([gains + 1, gains, gains], -1))
         self.register_buffer("gains", gains)
 
     def forward(self, features: Features) -> Tensor:

@@ -21,28 +21,18 @@ IMAGES = (*PARENTS, "variance", "albedo", "normal", "count")
 class Parents:
     """Images of one view from which its radiance is estimated, all of NumPy or all of torch on one device.
 
-    Attributes:
-        traced: (H, W, 3) mean of the path-traced samples, linear radiance.
-        variance: (H, W, 3) of that mean; inf where it is unknown.
-        denoised: (H, W, 3) the same samples, denoised.
-        splat: (H, W, 3) the splats, rendered for the same view.
-        albedo, normal: (H, W, 3) auxiliary features of the same samples.
-        count: (H, W, 1) number of samples.
-        enlargement: side of the pixels that the splats were trained on, in pixels of these images.
-        quick: whether the quicker denoiser was used.
-
     ValueError if the shapes do not match.
     """
 
-    traced: Image | Tensor
-    variance: Image | Tensor
-    denoised: Image | Tensor
-    splat: Image | Tensor
-    albedo: Image | Tensor
+    traced: Image | Tensor  # (H, W, 3) mean of the path-traced samples, linear radiance
+    variance: Image | Tensor  # (H, W, 3) of that mean; inf where it is unknown
+    denoised: Image | Tensor  # (H, W, 3) the same samples, denoised
+    splat: Image | Tensor  # (H, W, 3) the splats, rendered for the same view
+    albedo: Image | Tensor  # (H, W, 3) of the same samples, as the normal
     normal: Image | Tensor
-    count: Image | Tensor
-    enlargement: float
-    quick: bool = False
+    count: Image | Tensor  # (H, W, 1) number of samples
+    enlargement: float  # side of the pixels that the splats were trained on, in pixels of these images
+    quick: bool = False  # whether the quicker denoiser was used
 
     def __post_init__(self) -> None:
         for name in IMAGES:
@@ -57,7 +47,7 @@ class Fused:
     """One estimate of radiance (H, W, 3), of torch on the parents' device, and their weights (H, W, 3).
 
     In `excluded` pixels a parent was left out because it was negative, not finite, or out of proportion to
-    its neighbours and to the other parents (compose.image.outliers).
+    its neighbours and to the other parents (compose.image.colour).
     """
 
     radiance: Tensor

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
-from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
+from compose.image.colour import MOST, SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, TensorXf, UInt
 
 # Rows and columns of a rectangle of an image.
 Box = tuple[slice, slice]
@@ -22,35 +28,34 @@ def shape_of(box: Box) -> tuple[int, int]:
     return rows.stop - rows.start, columns.stop - columns.start
 
 
-def srgb_curve(linear: Any) -> Any:
+def srgb_curve(linear: Float) -> Float:
     """Floats from 0 to 1 on the sRGB curve, as in compose.image.colour; NaN stays."""
-    curve = dr.fma(SRGB_SCALE, dr.power(linear, 1 / SRGB_GAMMA), -SRGB_OFFSET)
+    curve = dr.fma(SRGB_SCALE, linear ** (1 / SRGB_GAMMA), -SRGB_OFFSET)
     return dr.select(linear <= SRGB_DARK, SRGB_SLOPE * linear, curve)
+
+
+def all_plain(channels: Sequence[Float]) -> bool:
+    """Whether Dr.Jit floats, which this waits for, are finite, not negative and at most MOST, as usual."""
+    wrong = [~((values >= 0) & (values <= MOST)) for values in channels]
+    return not bool(dr.any(reduce(or_, wrong)))
 
 
 @dataclass(frozen=True)
 class DeviceImage:
-    """An image of linear radiance, possibly part of a larger buffer.
-
-    Attributes:
-        values: flat Float, rows of `stride` pixels, of each of which the first three channels count.
-        width, height: image in pixels.
-        stride, channels: pixels per row of the buffer, and floats per pixel.
-        first_row: first row of the image that is in the buffer; rows that are not in it are black.
-    """
+    """An image of linear radiance, possibly part of a larger buffer."""
 
     arrays: Arrays
-    values: Any
-    width: int
+    values: Float  # rows of `stride` pixels, of each of which the first three channels count
+    width: int  # of the image, in pixels
     height: int
-    stride: int
-    channels: int = 3
-    first_row: int = 0
+    stride: int  # pixels per row of the buffer
+    channels: int = 3  # floats per pixel
+    first_row: int = 0  # of the image that is in the buffer; rows that are not in it are black
 
     @staticmethod
-    def filled(arrays: Arrays, width: int, height: int, channels: list[Any]) -> DeviceImage:
+    def filled(arrays: Arrays, width: int, height: int, channels: list[Float]) -> DeviceImage:
         """An image from three Floats (H * W,)."""
-        values = dr.ravel(arrays.plain.Array3f(*channels))
+        values = arrays.plain.Float(dr.ravel(arrays.plain.Array3f(*channels)))
         dr.eval(values)
         return DeviceImage(arrays, values, width, height, width)
 
@@ -65,35 +70,35 @@ class DeviceImage:
         """Whether all rows are in the buffer."""
         return not self.first_row and dr.width(self.values) >= self.height * self.stride * self.channels
 
-    def _place(self, row: Any, column: Any) -> tuple[Any, Any]:
+    def _place(self, row: UInt, column: UInt) -> tuple[UInt, Bool | bool]:
         """Where in the buffer pixels start, and whether they are in it."""
-        known: Any = True
+        known: Bool | bool = True
         if not self.is_whole:
             # What lies above wraps around to beyond the buffer.
             row = row - self.arrays.constant(self.first_row)
             known = row < self.arrays.constant(dr.width(self.values) // (self.stride * self.channels))
         return (row * self.arrays.constant(self.stride) + column) * self.channels, known
 
-    def at(self, row: Any, column: Any) -> list[Any]:
+    def at(self, row: UInt, column: UInt) -> list[Float]:
         """Three Floats (N,), the radiance of pixels."""
         index, known = self._place(row, column)
         return [dr.gather(self.arrays.plain.Float, self.values, index + c, known) for c in range(3)]
 
-    def of_pixels(self, pixels: Any) -> list[Any]:
+    def of_pixels(self, pixels: UInt) -> list[Float]:
         """Three Floats (N,), the radiance of pixels by their row-major indices UInt (N,)."""
         return self.at(*self.arrays.rows_columns(pixels, self.width))
 
-    def of_box(self, box: Box) -> list[Any]:
+    def of_box(self, box: Box) -> list[Float]:
         """Three Floats (h * w,), the radiance of a rectangle."""
         height, width = shape_of(box)
         row, column = self.arrays.rows_columns(dr.arange(self.arrays.plain.UInt, height * width), width)
         top, left = self.arrays.scalars(self.arrays.plain.UInt, [side.start for side in box])
         return self.at(row + top, column + left)
 
-    def changed(self, pixels: Any, channels: list[Any]) -> DeviceImage:
+    def changed(self, pixels: UInt, channels: list[Float]) -> DeviceImage:
         """The image, in its own memory if it is whole, with other radiance in some pixels.
 
-        Those are given by their row-major indices UInt (N,), each once, their radiance as three Floats (N,).
+        Those are given by their row-major indices (N,), each once, their radiance as three Floats (N,).
         """
         image = self if self.is_whole else self.packed()
         index, _ = image._place(*self.arrays.rows_columns(pixels, self.width))
@@ -102,7 +107,7 @@ class DeviceImage:
         dr.eval(image.values)
         return image
 
-    def flat(self) -> Any:
+    def flat(self) -> Float:
         """Float (H * W * 3,), the image row by row, not evaluated."""
         if self.is_packed:
             return self.values
@@ -117,7 +122,7 @@ class DeviceImage:
         dr.eval(values)
         return DeviceImage(self.arrays, values, self.width, self.height, self.width)
 
-    def tensor(self) -> Any:
+    def tensor(self) -> TensorXf:
         """(H, W, 3) tensor of Dr.Jit, which NumPy and torch read through DLPack."""
         image = self if self.is_packed else self.packed()
         return self.arrays.plain.TensorXf(image.values, (self.height, self.width, 3))

@@ -47,10 +47,8 @@ def write_channels(
 def read_channels(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[Any]]:
     """All channels (H, W) by name, of an image that must have a `size` in pixels: width and height.
 
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not an EXR file of one part in scan lines, damaged, of another size, or declares
-            more than its bytes can hold; nothing is allocated before that is known.
+    OSError if it cannot be read; ValueError if it is not an EXR file of one part in scan lines, damaged, of
+    another size, or declares more than its bytes can hold: nothing is allocated before that is known.
     """
     width, height = _declared_size(path)
     if size is not None and (width, height) != size:

@@ -55,9 +55,11 @@ def load_scene(
             there is no pane.
     """
     select_backend(backend)
-    from hybrid.preparation.scene_plan import scene_as_stored
+    from hybrid.preparation.scene_plan import as_stored
+    from pathtrace.scene.scene import load_scene
 
-    return scene_as_stored(source, max_depth, thin_glass, None if motion is None else Path(motion), sensor)
+    moves = None if motion is None else Path(motion)
+    return as_stored(load_scene(source, max_depth, thin_glass, moves, sensor))
 
 
 def plan(scene: Scene, *, progress: Progress = no_progress) -> Scene:

@@ -256,9 +256,10 @@ def loaded_scene(
     source: str, max_depth: int | None = None, thin_glass: bool = False, sensor: str | None = None
 ) -> Scene:
     """A scene by a bundled name or from a Mitsuba XML file, as its stored plan has it if there is one."""
-    from hybrid.preparation.scene_plan import scene_as_stored
+    from hybrid.preparation.scene_plan import as_stored
+    from pathtrace.scene.scene import load_scene
 
-    return scene_as_stored(source, max_depth, thin_glass, sensor=sensor)
+    return as_stored(load_scene(source, max_depth, thin_glass, sensor=sensor))
 
 
 def planned_scene(
@@ -269,14 +270,16 @@ def planned_scene(
     override: list[str] | None = None,
 ) -> Scene:
     """As `loaded_scene`, with a plan that is made if there is none, and of which items are overridden."""
-    from hybrid.preparation.scene_plan import planned_scene as load
+    from hybrid.preparation.scene_plan import as_planned
+    from pathtrace.scene.scene import load_scene
 
-    return load(source, max_depth, thin_glass, sensor, progress_bar, overridden(override))
+    scene = load_scene(source, max_depth, thin_glass, sensor=sensor)
+    return as_planned(scene, progress_bar, overridden(override))
 
 
 def overridden(override: list[str] | None) -> dict[str, Value]:
     """Items of a plan that `--set` asks for, by name."""
-    from hybrid.preparation.scene_plan import parsed
+    from hybrid.preparation.decisions import parsed
 
     try:
         return parsed(override or ())

@@ -38,8 +38,7 @@ def plan(
     o.select(backend)
     from compose.eye.display import display_named
     from hybrid.base.identity import machine
-    from hybrid.preparation.plan_picture import write_picture
-    from hybrid.preparation.scene_plan import overridden, plan_of, store_plan
+    from hybrid.preparation.scene_plan import overridden, plan_of, store_plan, write_picture
     from pathtrace.scene.scene import load_scene
 
     shown = display_named(display)

@@ -63,10 +63,10 @@ def train(
     """
     o.select(backend)
     from hybrid.base.cache_folder import has_receipt, store_forest
+    from hybrid.preparation.forest_errors import held_out_quality
     from hybrid.preparation.forest_training import LeftOut, planned_settings, say_left_out
     from hybrid.preparation.forest_training import train as run
     from hybrid.preparation.fusion_training import fusion_verdicts
-    from hybrid.preparation.held_out import held_out_quality
     from hybrid.preparation.training_views import motion_for, read_frames
     from pathtrace.dataset.posed_images import PosedFolder
 

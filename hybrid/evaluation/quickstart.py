@@ -33,7 +33,7 @@ from hybrid.measure.frame_times import (
 )
 from hybrid.measure.image_metrics import quality, registration_px
 from hybrid.measure.reference import REFERENCE_SEED
-from hybrid.preparation.held_out import held_out_quality
+from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.preparation import make_quick_forest
 from hybrid.render.false_colours import weights_picture
 from hybrid.render.frame import Frame

@@ -1,13 +1,14 @@
-"""The decisions of a plan, each with the numbers behind it: paths, colours, layers, samples, region."""
+"""The decisions of a plan, each with its numbers, and what a user may decide instead."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from compose.base.errors import UserError
 from compose.base.traced_samples import DIFFUSE, SPECULAR
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS, DEFAULT_ACUITY_MODEL
@@ -16,11 +17,18 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import LEAST_ERROR, decibels, luminance, srgb_from_radiance
 from hybrid.preparation.scene_look import HALF_SPP, Look
+from hybrid.preparation.stages import Needs
+from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
-from pathtrace.region import NEAR
+from pathtrace.region import NEAR, ViewingRegion
+from pathtrace.region.view_coverage import ViewCoverage
 from pathtrace.scene.scene import DEPTH, ROULETTE, RUSSIAN_ROULETTE_DEPTH, Scene
+from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.path_depths import MOST_SEGMENTS, UNBOUNDED, depth_shares, path_costs
 from splat.model.gaussians import MAX_DEGREE, sh_count
+from splat.training.clusters import HitTree
+from splat.training.initialization import hits_of
+from splat.training.training_view import place_of, placed
 
 Value = int | float | str | bool
 
@@ -53,12 +61,6 @@ def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[D
     if scene.optics.has_media:
         own = ((DEPTH, scene.own_depth, UNBOUNDED), (ROULETTE, scene.roulette_depth, RUSSIAN_ROULETTE_DEPTH))
         return [Decision(*each, {"has_media": True}, 1.0, "segments per path") for each in own]
-    depth = _depth_decision(scene, cameras, seed)
-    return [depth, _roulette(scene, cameras, int(depth.value), seed)]
-
-
-def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decision:
-    """A bound if it saves something: a small share of all radiance may be all of what is seen in glass."""
     shares = depth_shares(scene, cameras, _PATHS, seed)
     needed = max(shares.depth_for(MOST_BIAS), 2)
     tried = [(most, RUSSIAN_ROULETTE_DEPTH) for most in (needed, UNBOUNDED)]
@@ -75,8 +77,10 @@ def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decis
         "segments": bounded,
         "segments_unbounded": unbounded,
     }
+    # A bound only if it saves something: a small share of all radiance may be all of what is seen in glass.
     depth, gain = (needed, unbounded / bounded) if pays else (UNBOUNDED, 1.0)
-    return Decision(DEPTH, depth, UNBOUNDED, evidence, gain, "segments per path")
+    bound = Decision(DEPTH, depth, UNBOUNDED, evidence, gain, "segments per path")
+    return [bound, _roulette(scene, cameras, depth, seed)]
 
 
 def _roulette(scene: Scene, cameras: Sequence[Camera], depth: int, seed: int) -> Decision:
@@ -84,7 +88,7 @@ def _roulette(scene: Scene, cameras: Sequence[Camera], depth: int, seed: int) ->
     tried = (RUSSIAN_ROULETTE_DEPTH, *_TRIED)
     costs = path_costs(scene, cameras, _COSTED, [(depth, roulette) for roulette in tried], seed)
     work = {roulette: cost.segments * cost.variance for roulette, cost in zip(tried, costs, strict=True)}
-    best = min(work, key=lambda roulette: work[roulette])
+    best = min(work, key=work.__getitem__)
     if work[RUSSIAN_ROULETTE_DEPTH] < _LEAST_PATH_GAIN * work[best]:
         best = RUSSIAN_ROULETTE_DEPTH
     gain = work[RUSSIAN_ROULETTE_DEPTH] / work[best] if work[best] else 1.0
@@ -110,9 +114,9 @@ def degree_decision(look: Look) -> Decision:
     reflected = np.concatenate([mask.ravel() for mask in look.reflected])
     share, specular = (float((part | reflected).mean()) for part in (gloss != DIFFUSE, gloss == SPECULAR))
     degree = _DEGREE if share > _LEAST_GLOSS and not look.is_one_point else 0
-    evidence = {"turning": share, "is_one_point": look.is_one_point}
-    evidence |= {"specular": specular, "least": _LEAST_GLOSS}
     gain = sh_count(MAX_DEGREE) / sh_count(degree)
+    one_point = look.is_one_point
+    evidence = {"turning": share, "is_one_point": one_point, "specular": specular, "least": _LEAST_GLOSS}
     return Decision(DEGREE, degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
 
 
@@ -184,21 +188,17 @@ def sample_decisions(look: Look) -> list[Decision]:
     denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
     gain = max(raw / 2, LEAST_ERROR) / max(denoised, LEAST_ERROR)
     kind, gain = (DENOISED, gain) if gain >= _LEAST_DENOISING_GAIN else (RAW, 1.0)
-    evidence = {"raw_spp": HALF_SPP, "raw_db": decibels(raw)}
-    evidence |= {"denoised_spp": 2 * HALF_SPP, "denoised_db": decibels(denoised)}
-    return [
-        _samples(kind, decibels(denoised if kind == DENOISED else raw / 2)),
-        Decision(DENOISING, kind, RAW, evidence, gain, "samples for equal error"),
-    ]
-
-
-def _samples(kind: str, found_db: float) -> Decision:
-    """As many samples as frames need that have some PSNR with 2 * HALF_SPP."""
+    spp = 2 * HALF_SPP
+    errors = {"raw_spp": HALF_SPP, "raw_db": decibels(raw)}
+    errors |= {"denoised_spp": spp, "denoised_db": decibels(denoised)}
+    found_db = decibels(denoised if kind == DENOISED else raw / 2)
     doublings = np.ceil((CONVERGED_DB - found_db) / _GAIN_DB[kind])
-    samples = int(np.clip(2 * HALF_SPP * 2.0 ** np.clip(doublings, -8, 8), *_RANGE))
-    evidence = {"spp": 2 * HALF_SPP, "db": found_db}
-    evidence |= {"wanted_db": CONVERGED_DB, "db_per_doubling": _GAIN_DB[kind]}
-    return Decision(SAMPLES, samples, FIXED_SAMPLES, evidence, FIXED_SAMPLES / samples, "samples to trace")
+    samples = int(np.clip(spp * 2.0 ** np.clip(doublings, -8, 8), *_RANGE))
+    needed = {"spp": spp, "db": found_db, "wanted_db": CONVERGED_DB, "db_per_doubling": _GAIN_DB[kind]}
+    return [
+        Decision(SAMPLES, samples, FIXED_SAMPLES, needed, FIXED_SAMPLES / samples, "samples to trace"),
+        Decision(DENOISING, kind, RAW, errors, gain, "samples for equal error"),
+    ]
 
 
 REGION = "region"
@@ -208,3 +208,109 @@ def region_decision(region: str, look: Look, breadth: float) -> Decision:
     """Where viewers are, in a region of some breadth (`breadth_of`); frames and Gaussians follow from it."""
     evidence = {"parallax": look.parallax, "is_one_point": look.is_one_point, "breadth": breadth}
     return Decision(REGION, region, NEAR, evidence, 1 / breadth, "views to train on")
+
+
+# Squared differences of colours on the perceptual scale, summed over the pixels of a frame, above which a
+# part of a surface is more than one Gaussian in its mean colour should stand for.
+_VISIBLE = 1 / 32
+# Gaussians for each such part that the look has seen, which misses some of what all training views show. In
+# a minute on two cores, 4 instead of 2.5 gain 0.2 to 1.8 dB on `room`, foliage and cluttered rooms, and lose
+# up to 0.3 dB on thin trusses and `staircase2`. Where something moves, a step takes the longer the more there
+# are: there, 4 lose 0.6 dB in three minutes.
+_PER_PART, _PER_MOVING_PART = 4.0, 2.5
+# Numbers for which the plan says what they would leave.
+_TRIED_COUNTS = (10_000, 30_000, 100_000, 300_000)
+
+# Gaussians of the finest layer where nothing is known of a scene.
+GAUSSIANS, FIXED_GAUSSIANS = "gaussians", 40_000
+_ROUNDED = 100
+
+
+def gaussians_decision(look: Look, breadth: float, moves: bool = False) -> Decision:
+    """The number of Gaussians of the finest layer, for a region of some breadth (`breadth_of`).
+
+    Its evidence has the dB that frames would have if as many Gaussians each had one colour (`error_db`), of a
+    look's few frames: how fast that rises tells what more Gaussians would bring.
+    """
+    parts, curve, each = 1, {}, _PER_MOVING_PART if moves else _PER_PART
+    if any(len(view.surface_pixels) for view in look.shown):
+        place = place_of(look.shown)
+        tree = HitTree(hits_of([placed(view, place) for view in look.shown]))
+        parts = tree.count_of(_VISIBLE * len(look.shown))
+        curve = {str(count): tree.psnr_of(round(count / each)) for count in _TRIED_COUNTS}
+    needs = Needs(breadth, parts * each / FIXED_GAUSSIANS)
+    count = max(_ROUNDED, round(FIXED_GAUSSIANS * needs.gaussians / _ROUNDED) * _ROUNDED)
+    evidence = {"parts": parts, "breadth": breadth, "frames": len(look.shown), "error_db": curve}
+    return Decision(GAUSSIANS, count, FIXED_GAUSSIANS, evidence, FIXED_GAUSSIANS / count, "Gaussians")
+
+
+def planned_needs(plan: Mapping[str, Value], region: str, breadth: float) -> Needs:
+    """What a region takes, as planned for it or for the default one; as `room` does if neither is planned.
+
+    The plan, values by name, may be empty; `region` is as it was asked for, `breadth` that of `breadth_of`.
+    """
+    if GAUSSIANS not in plan or plan[REGION] not in (region, NEAR):
+        return Needs(breadth)
+    share = int(plan[GAUSSIANS]) / FIXED_GAUSSIANS
+    of_plan = Needs(breadth) if plan[REGION] == region else Needs()
+    return Needs(breadth, share / of_plan.gaussians)
+
+
+# Side in pixels of views that tell it.
+_BREADTH_SIDE = 256
+# Views that the default region takes at first; how many that see enough is tried in these numbers.
+_ORDINARY_VIEWS, _TRIED_VIEWS = 32, (32, 48, 64, 96, 128, 192, 256, 384)
+_ENOUGH = 0.95
+_ASKERS = 24
+
+
+def breadth_of(region: ViewingRegion, surfaces: Surfaces, seed: int) -> float:
+    """How many times as many views as the default region a region takes until little is unseen; 1 to 12."""
+    if region.name == "near":
+        return 1.0
+    views = region.views(_TRIED_VIEWS[-1], _BREADTH_SIDE, _BREADTH_SIDE, seed)
+    askers = region.unseen_views(_ASKERS, _BREADTH_SIDE, _BREADTH_SIDE, seed + 1)
+    coverage, before = ViewCoverage(surfaces, []), 0
+    for count in _TRIED_VIEWS:
+        coverage.add(views[before:count])
+        before = count
+        if np.mean([coverage.share(view) for view in askers]) >= _ENOUGH:
+            break
+    return before / _ORDINARY_VIEWS
+
+
+# Least and greatest whole number that each item may be.
+_NUMBERS = {
+    DEPTH: (1, 1_000_000),
+    ROULETTE: (1, 1_000_000),
+    DEGREE: (0, MAX_DEGREE),
+    LAYERS: (1, 32),
+    GAUSSIANS: (1, 100_000_000),
+    SAMPLES: (1, MOST_SPP),
+}
+_WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
+
+
+def parsed(given: Sequence[str]) -> dict[str, Value]:
+    """Values by name, from texts such as "degree=0"; UserError if there is no such item or value."""
+    found: dict[str, Value] = {}
+    for text in given:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise UserError(f"{text}: must be NAME=VALUE")
+        found[name] = _value(name, value)
+    return found
+
+
+def _value(name: str, value: str) -> Value:
+    if name in _NUMBERS:
+        least, most = _NUMBERS[name]
+        if not value.isascii() or not value.isdigit() or not least <= int(value[:12]) <= most:
+            raise UserError(f"{name}={value}: must be a whole number from {least} to {most}")
+        return int(value)
+    if name in _WORDS:
+        if value not in _WORDS[name]:
+            raise UserError(f"{name}={value}: must be {' or '.join(_WORDS[name])}")
+        return value
+    names = ", ".join((*_NUMBERS, *_WORDS))
+    raise UserError(f"{name}={value}: must be one of {names}; the scene decides all else")

@@ -15,10 +15,9 @@ import torch
 from compose.base.errors import UserError, one_line
 from hybrid.base.compute_device import device_arrays
 from hybrid.base.progress import Steps, interrupts_between_steps, no_progress
-from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, HALF, LAYERS, Value
-from hybrid.preparation.error_learning import with_errors
+from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, GAUSSIANS, HALF, LAYERS, Value
+from hybrid.preparation.forest_errors import with_errors
 from hybrid.preparation.fusion_training import fusion_steps, with_fusion
-from hybrid.preparation.gaussian_count import GAUSSIANS
 from hybrid.preparation.training_views import Frames, labelled_views, motion_for, pieces_of
 from hybrid.render.forest_attachments import attach_plan, attach_views
 from pathtrace.dataset.frame_set import FrameSet
@@ -38,18 +37,16 @@ _LOG = logging.getLogger("hybrid")
 _PLANNED = {"gaussians": GAUSSIANS, "layers": LAYERS, "degree": DEGREE}
 
 
-def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
+def planned_settings(frames: Frames | None, **given: object) -> TrainingSettings:
     """Settings of a training: as given, else as planned for the scene of the frames, else their defaults.
 
-    None and third-party frames have no plan; a setting that is None counts as not given.
-
-    Raises:
-        UserError, ValueError: as in TrainingSettings.
+    None and third-party frames have no plan; a setting that is None counts as not given. Errors are those of
+    TrainingSettings.
     """
     plan = _plan(frames)
-    planned = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
-    planned["half_frames"] = plan.get(FRAME_PRECISION) == HALF
-    return TrainingSettings(**planned | {name: value for name, value in given.items() if value is not None})
+    wanted: dict[str, Any] = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
+    wanted["half_frames"] = plan.get(FRAME_PRECISION) == HALF
+    return TrainingSettings(**wanted | {name: value for name, value in given.items() if value is not None})
 
 
 def plan_with(frames: Frames, settings: TrainingSettings) -> dict[str, Value]:
@@ -68,22 +65,14 @@ def checkpoint_path(forest: Path) -> Path:
 
 
 def save_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
-    """Saves the state of a training run on a frame set.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Saves the state of a training run on a frame set; UserError if the file cannot be written."""
     tensors, numbers = trainer.state()
     kind = {"format_version": FORMAT_VERSION, "kind": "checkpoint", "frames": frames.digest}
     save_tensors(path, tensors, {**kind, **numbers})
 
 
 def restore_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
-    """Continues from a checkpoint if there is one.
-
-    Raises:
-        UserError: the checkpoint is damaged, or belongs to another training run.
-    """
+    """Continues from a checkpoint if there is one; UserError if it is damaged, or of another training."""
     if not path.is_file():
         return
     tensors, metadata = load_tensors(path, "delete it to start again")
@@ -154,10 +143,9 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
             the settings if None, and in trainings of fewer. Such a forest does not learn yet where it is
             wrong: others will follow.
 
-    Raises:
-        UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
-            frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers,
-            or the file cannot be written.
+    UserError if there are no frames to train on, a motion is to be learned from frames of a single time, a
+    frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers, or the
+    file cannot be written.
     """
     settings = settings or planned_settings(frames, motion=motion_for(frames, None))
     _require_enough(frames, settings)
@@ -197,7 +185,6 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
 
 
 def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
-    """Checks that there are frames that can be trained on as asked, and large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
     motion_for(frames, settings.motion, settings.labels)

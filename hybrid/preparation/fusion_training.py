@@ -12,18 +12,25 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, Example, FusionReference, fit
+from compose.fusion.fitting import (
+    ITERATIONS,
+    LEAST_SIZE,
+    TRIAL_ITERATIONS,
+    Example,
+    FusionReference,
+    fit,
+    prove,
+    trials,
+)
 from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED
-from compose.fusion.parents import Parents
-from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
+from compose.fusion.parents import IMAGES, Parents
 from compose.image.colour import Image
-from hybrid.base.compute_device import device_arrays
+from hybrid.preparation.forest_errors import finest_shown
 from hybrid.preparation.training_views import Frames
 from hybrid.render.disc_images import denoised_for_fusion
 from hybrid.render.forest_attachments import attach_fusion, fusion_of
 from pathtrace.dataset.captured_frames import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frame_set import FrameEntry, FrameSet
-from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
 
 # Examples per view in which the sample count varies; smallest and largest size, in pixels, of the patches of
@@ -67,12 +74,11 @@ def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:
     fusion = fusion_of(forest)
     if fusion is None:
         return []
-    cells, rows = product((False, True), COUNTS, ENLARGEMENTS), []
+    names = "quick", "spp", "enlargement", *MIXED, "gain_db"
+    cells = product((False, True), COUNTS, ENLARGEMENTS)
     shares, gains = fusion.shares.flatten(0, 2).tolist(), fusion.gains.flatten().tolist()
-    for cell, mixed, gain in zip(cells, shares, gains, strict=True):
-        row = dict(zip(("quick", "spp", "enlargement", *MIXED), (*cell, *mixed), strict=True))
-        rows.append({**row, "gain_db": gain})
-    return rows
+    rows = zip(cells, shares, gains, strict=True)
+    return [dict(zip(names, (*cell, *mixed, gain), strict=True)) for cell, mixed, gain in rows]
 
 
 def _usable(frames: Frames) -> list[tuple[int, FrameEntry]]:
@@ -97,16 +103,13 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
 
     Images with numbers that are not finite are left out: one of them would spoil all weights of the network.
     """
-    renderer = ForestRenderer(device_arrays(), forest)
-    finest = len(forest.counts)
+    show, focal = finest_shown(forest), forest.focal_of(len(forest.counts))
     for number, entry in _usable(frames):
         one, other = (read_radiance(file, entry.size) for file in entry.halves)
         reference = FusionReference(read_frame(entry.file, entry.size).radiance, (one, other))
         if not _is_finite(reference.denoised, one, other):
             continue
-        renderer.set_time(entry.time)
-        splat = np.array(renderer.render_layer(entry.camera, finest).numpy())
-        enlargement = entry.camera.fy / forest.focal_of(finest)
+        splat, enlargement = show(entry.camera, entry.time), entry.camera.fy / focal
         traced = []
         for spp, file in entry.estimates.items():
             found = read_estimate(file, entry.size)
@@ -153,10 +156,9 @@ def _part(example: Example, rng: np.random.Generator) -> Example:
     top, left = (int(rng.integers(max(side - _MOST, 0) + 1)) for side in (height, width))
     box = np.s_[top : top + _MOST, left : left + _MOST]
     parents, reference = example.parents, example.reference
-    images = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
     one, other = reference.halves
     return replace(
         example,
-        parents=replace(parents, **{name: getattr(parents, name)[box] for name in images}),
+        parents=replace(parents, **{name: getattr(parents, name)[box] for name in IMAGES}),
         reference=FusionReference(reference.denoised[box], (one[box], other[box])),
     )

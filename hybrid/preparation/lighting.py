@@ -7,7 +7,6 @@ dark; knowing how bright it is in each frame, it learns what it looks like in us
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 import torch
@@ -57,8 +56,7 @@ def light_over_time(
     views = [training_view(entry, frames.courses) for entry in entries]
     rng = np.random.default_rng([seed, 5])
     seconds = 0.0 if scene.moving is None else scene.moving.motion.seconds
-    steps = min(max(round(seconds * _PER_SECOND) + 1, _LEAST_TIMES), _MOST_TIMES)
-    times = [float(time) for time in np.linspace(0, 1, steps)]
+    times = np.linspace(0, 1, min(max(round(seconds * _PER_SECOND) + 1, _LEAST_TIMES), _MOST_TIMES)).tolist()
     count = min(int(gaussians * _POINTS), _MOST_NUMBERS // (3 * len(times)))
     seeds, instance = _seeds(views, count, motion, rng)
     if not len(instance):
@@ -67,7 +65,13 @@ def light_over_time(
     for number in instance[instance >= 0].unique():
         own = seeds.means[:, instance == number]
         lifts[instance == number] = _LIFT * torch.linalg.vector_norm(own.amax(dim=1) - own.amin(dim=1))
-    at = partial(_points, seeds, instance, motion, lifts)
+
+    def at(time: float) -> Points:
+        """Where the seeds are at a time, lifted off their surface."""
+        shown = seeds if motion is None else motion.shown(seeds, instance, time)
+        normals = _normals(shown)
+        return Points((shown.means + lifts * normals).T.numpy(), normals.T.numpy())
+
     moving = np.flatnonzero(instance.numpy() >= 0)
     with bars("light over time") as bar:
         irradiance = irradiance_over_time(scene, cache, at, moving, times, seed, bar)
@@ -96,14 +100,4 @@ def _seeds(
 
 
 def _normals(seeds: Gaussians) -> torch.Tensor:
-    """(3, N) normals of seeds."""
     return turned(seeds.rotations, torch.tensor([[0.0], [0.0], [1.0]]).expand(3, len(seeds)))
-
-
-def _points(
-    seeds: Gaussians, instance: torch.Tensor, motion: NodeMotion | None, lifts: torch.Tensor, time: float
-) -> Points:
-    """Where the seeds are at a time, lifted off their surface by `lifts` (N,)."""
-    shown = seeds if motion is None else motion.shown(seeds, instance, time)
-    normals = _normals(shown)
-    return Points((shown.means + lifts * normals).T.numpy(), normals.T.numpy())

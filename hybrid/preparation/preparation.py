@@ -17,12 +17,10 @@ from compose.camera.camera import Camera
 from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
 from hybrid.base.identity import Journal, require_scene, short_hash
 from hybrid.base.progress import Bars, no_bars
-from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES
-from hybrid.preparation.error_learning import with_errors
+from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES, breadth_of, planned_needs
+from hybrid.preparation.forest_errors import Judges, with_errors
 from hybrid.preparation.forest_training import planned_settings, train
 from hybrid.preparation.fusion_training import with_fusion
-from hybrid.preparation.gaussian_count import breadth_of, planned_needs
-from hybrid.preparation.held_out import Judges
 from hybrid.preparation.lighting import light_over_time
 from hybrid.preparation.scene_plan import as_planned, require_plan
 from hybrid.preparation.stage_frames import (
@@ -170,18 +168,10 @@ class _Job:
         forest = self._finished(frames, forest)
         if self.settings.quality != GLIMPSE:
             store_forest(forest, self.folder.name)
-        facts = {**self._facts(forest, frames), **self._limit(forest, frames)}
+        facts = self._facts(forest, frames)
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
-        self._say_converging(facts)
-        self._require_target(facts)
+        self._conclude(facts)
         return Prepared(forest, facts)
-
-    def _limit(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
-        """PSNR in training frames, and what limits the quality; the latter is None without held-out views."""
-        with self.planner.clock.stopped():
-            trained, held_out = trained_psnr(frames, forest), self.curve[-1].get("psnr")
-        limit = None if held_out is None else limit_of(self.passes[-1].error_db, trained, held_out)
-        return {"trained_psnr": trained, "limit": limit}
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""
@@ -217,22 +207,18 @@ class _Job:
             cache, seed = cache_for(self.scene), self.settings.seed
             light = light_over_time(self.scene, cache, found, stages[-1].gaussians, seed, self.bars)
         self.planner.lap("light")
-        brought = lambda: Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)  # noqa: E731
-        self.passes.append(Pass(**self.planner.journal.once(f"pass {number}", lambda: asdict(brought()))))
+        brought = lambda: asdict(Pass(float(np.mean(frames.samples)), stated_error(frames), seconds))  # noqa: E731
+        self.passes.append(Pass(**self.planner.journal.once(f"pass {number}", brought)))
         forest = self._trained(found, light, path, before)
         if number >= _FIRST_STORED.get(self.settings.quality, _SECOND):
             store_forest(forest, self.folder.name)
-        self._tell(frames, forest)
-        return forest
-
-    def _tell(self, frames: GrowingFrames, forest: Forest) -> None:
-        """Tells who asked for it what a stage has come to."""
         if self.told is not None:
-            number, seconds = self.planner.number, self.planner.clock.seconds()
+            spent = self.planner.clock.seconds()
             with self.planner.clock.stopped():
                 psnr = trained_psnr(frames, forest)
-            stages = max(number + 1, len(self.settings.stages))
-            self.told(Staged(self.folder / _STAGE.format(number), number + 1, stages, seconds, psnr))
+            planned = max(number + 1, len(self.settings.stages))
+            self.told(Staged(path, number + 1, planned, spent, psnr))
+        return forest
 
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""
@@ -251,7 +237,6 @@ class _Job:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
 
     def _views(self, stages: Sequence[Stage]) -> list[tuple[Camera, int]]:
-        """The views of some stages, with their scales."""
         with self.bars(f"stage {len(stages)}: choosing views") as bar:
             bar(0, sum(stage.views for stage in stages))
             return stage_views(self.region, stages, self.settings.seed)
@@ -273,7 +258,6 @@ class _Job:
         return forest
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
-        """Adds a row to the curve."""
         number = self.planner.number
 
         def row() -> dict[str, Any]:
@@ -309,11 +293,16 @@ class _Job:
         return forest
 
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
+        """What was reached, and what limits it; the latter is None without held-out views."""
         samples, last = frames.samples, self.curve[-1]
+        seconds = self.planner.journal.once("total", self.planner.clock.seconds)
+        with self.planner.clock.stopped():
+            trained = trained_psnr(frames, forest)
+        limit = limit_of(self.passes[-1].error_db, trained, last["psnr"]) if "psnr" in last else None
         return {
             "scene": self.scene.name,
             "region": self.region.name,
-            "seconds": self.planner.journal.once("total", self.planner.clock.seconds),
+            "seconds": seconds,
             "gaussians": len(forest.finest),
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
@@ -322,10 +311,12 @@ class _Job:
             "splat": {name: last[name] for name in ("psnr", "ssim", "least_psnr") if name in last},
             "curve": self.curve,
             "forest": str(self.folder / "forest.safetensors"),
+            "trained_psnr": trained,
+            "limit": limit,
         }
 
-    def _say_converging(self, facts: dict[str, Any]) -> None:
-        """Names frames that are noisier than a forest is likely to be wrong, and what would help."""
+    def _conclude(self, facts: dict[str, Any]) -> None:
+        """Names frames that converge slowly; UserError if a target was not reached."""
         if facts["converging_seconds"] is not None:
             last = self.passes[-1]
             _LOG.warning(
@@ -333,9 +324,6 @@ class _Job:
                 f"{last.seconds:.0f} s of tracing, {CONVERGED_DB:g} dB would take about "
                 f"{facts['converging_seconds']:.0f} s"
             )
-
-    def _require_target(self, facts: dict[str, Any]) -> None:
-        """UserError if a target was not reached; the forest is kept."""
         wanted, found = self.settings.psnr, facts["splat"].get("psnr")
         if wanted is not None and found < wanted:
             raise UserError(
@@ -361,12 +349,10 @@ def found_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tupl
 
 
 def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Forest]:
-    """A scene and its forest: the given one, else the newest one in the cache, else one that is prepared now.
+    """As `found_forest`, but a forest is prepared now if there is none.
 
     With a forest at hand, nothing is planned: a scene without a plan has the paths of the forest's plan.
-
-    Raises:
-        UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
+    UserError if the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
     scene, path = found_forest(scene, given, bars)
     if path is None:

@@ -49,11 +49,10 @@ class Look:
     @cached_property
     def shown(self) -> list[TrainingView]:
         """The larger frames, denoised, as training has them."""
+        frames = zip(self.larger, self.denoised, self.halves, strict=True)
         return [
             TrainingView(camera, radiance, distance, one.mixed(other, 0.5).normal)
-            for (camera, distance), radiance, (one, other) in zip(
-                self.larger, self.denoised, self.halves, strict=True
-            )
+            for (camera, distance), radiance, (one, other) in frames
         ]
 
     @property
@@ -71,10 +70,8 @@ def look_at_scene(
 ) -> Look:
     """Looks at a scene and its surfaces from a region; afterwards, one that moves shows its first time.
 
-    `progress` is called with the number of views that have been looked from, out of VIEWS.
-
-    Raises:
-        UserError: there is no free space in the region.
+    `progress` is called with the number of views that have been looked from, out of VIEWS. UserError if there
+    is no free space in the region.
     """
     cameras = region.views(VIEWS, _SIDE, _SIDE, seed)
     views = [View(camera, view_time(scene, number)) for number, camera in enumerate(cameras)]

@@ -1,47 +1,46 @@
 """What a scene requires: the plan that follows from a look at it for a few seconds.
 
-It is stored in the cache folder, is a part of frame sets and forests, and a user may decide items instead.
+It is stored in the cache folder and is part of frame sets and forests. A picture shows what it follows from.
 """
 
 from __future__ import annotations
 
+import io
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from compose.base.errors import UserError
 from compose.base.files import json_text, read_json, write_whole
+from compose.base.traced_samples import DIFFUSE
 from compose.eye.display import DISPLAYS, Display
+from compose.image.colour import Image, srgb_from_radiance
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.progress import Bar, Bars, no_bars, no_progress
 from hybrid.preparation.decisions import (
-    DEGREE,
-    DENOISED,
-    DENOISING,
-    FRAME_PRECISION,
-    HALF,
-    LAYERS,
-    RAW,
-    SAMPLES,
-    SINGLE,
+    GAUSSIANS,
     Decision,
     Value,
+    breadth_of,
     degree_decision,
     frame_precision_decision,
+    gaussians_decision,
     layers_decision,
     path_decisions,
     region_decision,
     sample_decisions,
 )
-from hybrid.preparation.gaussian_count import GAUSSIANS, breadth_of, gaussians_decision
 from hybrid.preparation.scene_look import VIEWS, Look, look_at_scene
-from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region import NEAR, region_of
 from pathtrace.scene.optics import light_difficulties
-from pathtrace.scene.scene import DEPTH, ROULETTE, Scene, load_scene
-from splat.model.gaussians import MAX_DEGREE
+from pathtrace.scene.scene import DEPTH, Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LOG = logging.getLogger("hybrid")
 MOTION, LIGHT = "motion", "light"
@@ -82,14 +81,10 @@ def plan_of(
 ) -> ScenePlan:
     """Looks at a scene and decides what it requires; afterwards, one that moves shows its first time.
 
-    Args:
-        display, size: what frames are shown on, and their width and height in pixels.
-        region: where viewers may be (pathtrace.region).
-        seed: same seed, same plan on the same machine.
-        progress: called with parts done, their number, and what comes next.
-
-    Raises:
-        UserError: the scene's own camera sees no surface, there is no such region, or no free space in it.
+    Frames of `size`, width and height in pixels, are shown on the display; viewers are in the region
+    (pathtrace.region). Same seed, same plan on the same machine. `progress` is called with parts done, their
+    number, and what comes next. UserError if the scene's own camera sees no surface, there is no such region,
+    or no free space in it.
     """
     scene.show(0.0)
     progress(0, _PARTS, "choosing views")
@@ -132,70 +127,41 @@ def motion_of(scene: Scene) -> str:
 
 
 def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:
-    """Checks that a plan's values do not contradict the scene it is used with; the message names its source.
-
-    Raises:
-        UserError: something moves in a scene planned as still, or the other way round.
-    """
-    planned, fact = values.get(MOTION, motion_of(scene)), motion_of(scene)
-    if planned != fact:
+    """UserError, which names the source, if something moves in a scene planned as still, or the reverse."""
+    fact = motion_of(scene)
+    if (planned := values.get(MOTION, fact)) != fact:
         raise UserError(f"{source}: its plan has {MOTION} {planned}, but {scene.name} has {fact}")
 
 
-_VERSION = 4
+_FILE, _VERSION = "plan.json", 4
 # Of frames where nothing else is asked for.
 DISPLAY, SIZE = "desktop", (1920, 1080)
 
 
-def scene_as_stored(
-    source: str | Path | dict[str, Any],
-    max_depth: int | None = None,
-    thin_glass: bool = False,
-    motion: Path | None = None,
-    sensor: str | None = None,
-) -> Scene:
-    """Loads a scene like `load_scene`, and as its stored plan has it if there is one; a given depth stays.
+def as_stored(scene: Scene) -> Scene:
+    """A scene as its stored plan has it if there is one, but with a depth that it was given.
 
-    Raises:
-        UserError: as in `load_scene`, or the stored plan contradicts the scene.
+    UserError if the plan contradicts the scene.
     """
-    scene = load_scene(source, max_depth, thin_glass, motion, sensor)
     plan = _stored(scene)
     return scene if plan is None else scene.planned(plan.values())
-
-
-def planned_scene(
-    source: str | Path | dict[str, Any],
-    max_depth: int | None = None,
-    thin_glass: bool = False,
-    sensor: str | None = None,
-    bars: Bars = no_bars,
-    override: Mapping[str, Value] | None = None,
-) -> Scene:
-    """Loads a scene like `load_scene`, and as its plan has it (`as_planned`)."""
-    return as_planned(load_scene(source, max_depth, thin_glass, sensor=sensor), bars, override)
 
 
 def as_planned(scene: Scene, bars: Bars = no_bars, override: Mapping[str, Value] | None = None) -> Scene:
     """A scene as its plan has it, with items overridden, by name, that its stored plan keeps.
 
-    A plan is made and stored if there is none, which takes seconds to minutes.
+    A plan is made and stored if there is none, which takes seconds to minutes. A scene that has a plan
+    already, or that cannot be looked at because its camera sees no surface or stands in one, stays as it is.
 
-    A scene that has a plan already, or that cannot be looked at because its camera sees no surface or stands
-    in one, stays as it is.
-
-    Raises:
-        UserError: the cache folder cannot be written, the stored plan contradicts the scene, or items of a
-            plan that cannot be made are overridden.
+    UserError if the cache folder cannot be written, the stored plan contradicts the scene, or items of a plan
+    that cannot be made are overridden.
     """
     if scene.plan:
         return scene
     plan = plan_for(scene, bars)
-    if plan is None:
-        if override:
-            raise UserError(f"{scene.name}: has no plan of which {', '.join(override)} could be overridden")
-        return scene
-    return scene.planned({**plan.values(), **(override or {})})
+    if plan is None and override:
+        raise UserError(f"{scene.name}: has no plan of which {', '.join(override)} could be overridden")
+    return scene if plan is None else scene.planned({**plan.values(), **(override or {})})
 
 
 def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
@@ -215,13 +181,9 @@ def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
 
 
 def store_plan(plan: ScenePlan) -> None:
-    """Stores a plan; from now on, it is that of its scene.
-
-    Raises:
-        UserError: the cache folder cannot be written.
-    """
+    """Stores a plan; from now on, it is that of its scene. UserError if the folder cannot be written."""
     text = json_text({"version": _VERSION, "scene": plan.scene_hash, "decisions": plan.rows()})
-    write_whole(_file(plan.scene_name, plan.scene_hash), lambda part: part.write_text(text))
+    write_whole(scene_folder(plan.scene_name, plan.scene_hash) / _FILE, lambda part: part.write_text(text))
 
 
 def with_plan_of(scene: Scene, other: Scene) -> Scene:
@@ -238,17 +200,9 @@ def with_plan_of(scene: Scene, other: Scene) -> Scene:
     return scene if plan is None else scene.planned(plan.values())
 
 
-def _file(name: str, digest: str) -> Path:
-    return scene_folder(name, digest) / "plan.json"
-
-
 def _stored(scene: Scene) -> ScenePlan | None:
-    """The plan in the scene's folder; None if there is none, or none that this version reads.
-
-    Raises:
-        UserError: it contradicts the scene.
-    """
-    file = _file(scene.name, scene.own_hash)
+    """The plan in the scene's folder; None if there is none, or none that this version reads."""
+    file = scene_folder(scene.name, scene.own_hash) / _FILE
     try:
         content = read_json(file)
         if (content["version"], content["scene"]) != (_VERSION, scene.own_hash):
@@ -261,53 +215,68 @@ def _stored(scene: Scene) -> ScenePlan | None:
     return plan
 
 
-# Least and greatest whole number that each item may be.
-_NUMBERS = {
-    DEPTH: (1, 1_000_000),
-    ROULETTE: (1, 1_000_000),
-    DEGREE: (0, MAX_DEGREE),
-    LAYERS: (1, 32),
-    GAUSSIANS: (1, 100_000_000),
-    SAMPLES: (1, MOST_SPP),
-}
-_WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
-
-
-def parsed(given: Sequence[str]) -> dict[str, Value]:
-    """Values by name, from texts such as "degree=0".
-
-    Raises:
-        UserError: there is no such item, or it cannot have that value.
-    """
-    found: dict[str, Value] = {}
-    for text in given:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals:
-            raise UserError(f"{text}: must be NAME=VALUE")
-        found[name] = _value(name, value)
-    return found
-
-
-def _value(name: str, value: str) -> Value:
-    if name in _NUMBERS:
-        least, most = _NUMBERS[name]
-        if not value.isascii() or not value.isdigit() or not least <= int(value[:12]) <= most:
-            raise UserError(f"{name}={value}: must be a whole number from {least} to {most}")
-        return int(value)
-    if name in _WORDS:
-        if value not in _WORDS[name]:
-            raise UserError(f"{name}={value}: must be {' or '.join(_WORDS[name])}")
-        return value
-    names = ", ".join((*_NUMBERS, *_WORDS))
-    raise UserError(f"{name}={value}: must be one of {names}; the scene decides all else")
-
-
 def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:
     """A plan with some decisions taken by the user; those have no gain that anybody knows."""
-    decisions = []
-    for one in plan.decisions:
-        if one.name in values:
-            evidence = {"planned": one.value, **one.evidence}
-            one = replace(one, value=values[one.name], evidence=evidence, gain=1.0)
-        decisions.append(one)
+    decisions = [
+        replace(one, value=values[one.name], evidence={"planned": one.value, **one.evidence}, gain=1.0)
+        if one.name in values
+        else one
+        for one in plan.decisions
+    ]
     return replace(plan, decisions=tuple(decisions))
+
+
+_TURNING = (0.9, 0.2, 0.1)
+_SHARE = 0.7
+
+
+def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
+    """Writes a PNG: what the scene looks like, where its radiance turns, what Gaussians bring, its depths."""
+    # Not pyplot, which opens windows and has global state.
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    grid = figure.add_gridspec(2, 3)
+    shown, turning, numbers = (figure.add_subplot(grid[0, column]) for column in range(3))
+    depths, decisions = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1:])
+    frame = srgb_from_radiance(look.denoised[0])
+    _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
+    view = srgb_from_radiance(look.radiance[0])
+    turns = ((look.gloss[0] != DIFFUSE) | look.reflected[0])[..., None]
+    marked = np.where(turns, (1 - _SHARE) * view + _SHARE * np.array(_TURNING), view)
+    _image(turning, marked, "radiance turns with the view (red)")
+    # What numbers of Gaussians leave, each in one colour, and the number that is planned.
+    decision = plan.decision(GAUSSIANS)
+    curve = decision.evidence["error_db"]
+    numbers.semilogx([int(count) for count in curve], list(curve.values()), "o-", color="#36c")
+    numbers.axvline(float(decision.value), color="#c33")
+    numbers.set_xlabel("Gaussians", fontsize=8)
+    numbers.set_title("dB of as many plain ones; planned (red)", fontsize=9)
+    _plot_depths(depths, plan)
+    rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
+    decisions.axis("off")
+    table = decisions.table(rows, colLabels=("", "planned", "else"), loc="center", cellLoc="left")
+    table.scale(1.3, 1.4)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    write_whole(path, lambda part: part.write_bytes(buffer.getvalue()))
+
+
+def _image(axes: Axes, image: Image, title: str) -> None:
+    axes.imshow(np.clip(image, 0, 1), interpolation="nearest")
+    axes.set_title(title, fontsize=9)
+    axes.axis("off")
+
+
+def _plot_depths(axes: Axes, plan: ScenePlan) -> None:
+    """Share of the radiance by the segments of paths, and where they are cut, if that was measured."""
+    evidence = plan.decision(DEPTH).evidence
+    if "needed" not in evidence:
+        axes.axis("off")
+        return
+    depth, shares = evidence["needed"], evidence["share_by_depth"]
+    axes.bar(range(1, len(shares) + 1), np.maximum(shares, 1e-6), color="#36c")
+    axes.axvline(depth + 0.5, color="#c33")
+    axes.set_yscale("log")
+    axes.set_xlabel("segments", fontsize=8)
+    axes.set_title(f"share of radiance; {evidence['beyond']:.2%} lies beyond {depth}", fontsize=9)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
 
 from compose.camera.camera import Camera
-from compose.image.colour import decibels, srgb_from_radiance
-from hybrid.base.compute_device import device_arrays
-from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
-from hybrid.preparation.gaussian_count import GAUSSIANS
+from compose.image.colour import Image, decibels, srgb_from_radiance
+from hybrid.preparation.decisions import CONVERGED_DB, GAUSSIANS, SAMPLES
+from hybrid.preparation.forest_errors import finest_shown
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import FrameError, frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
@@ -21,7 +20,6 @@ from pathtrace.region import ViewingRegion
 from pathtrace.region.neighbourhood import view_time
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
-from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
 
 # Side in pixels of views before they are given the size of a stage's frames.
@@ -63,14 +61,14 @@ def wanted_of(
     had = frames.samples
     aimed = [stage.spp_at(scale) for _, scale in views]
     if forest is not None and had:
-        renderer, asked = ForestRenderer(device_arrays(), forest), _asked(frames)
+        show, asked = finest_shown(forest), _asked(frames)
         # Squared error of denoised frames over that of what was traced, on average.
         errors = [_error(frames, number).mse for number in asked]
         share = float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
         for number, samples in enumerate(had):
             if samples < aimed[number]:
                 # Its own error must be a noticeable part of its difference from the forest.
-                noise, difference = _noise(frames, number), _difference(frames, number, renderer)
+                noise, difference = _noise(frames, number), _difference(frames, number, show)
                 aimed[number] = aimed[number] if share * noise > _WORTHWHILE * difference else samples
     return [
         Wanted(camera, max(spp, *had[number : number + 1], 2), view_time(frames.scene, number))
@@ -84,14 +82,12 @@ def stated_error(frames: GrowingFrames) -> float:
 
 
 def _error(frames: GrowingFrames, number: int) -> FrameError:
-    """What the halves of a frame tell."""
     return frame_error(*frames.halves(number), frames.radiance(number))
 
 
 def _asked(frames: GrowingFrames) -> list[int]:
     """Some views, evenly spaced over all."""
-    count = len(frames.samples)
-    return sorted({round(share) for share in np.linspace(0, count - 1, _ASKED)})
+    return sorted({round(at) for at in np.linspace(0, len(frames.samples) - 1, _ASKED)})
 
 
 def _noise(frames: GrowingFrames, number: int) -> float:
@@ -100,17 +96,16 @@ def _noise(frames: GrowingFrames, number: int) -> float:
     return float(np.mean((one - other) ** 2) / 4)
 
 
-def _difference(frames: GrowingFrames, number: int, renderer: ForestRenderer) -> float:
+def _difference(frames: GrowingFrames, number: int, show: Callable[[Camera, float], Image]) -> float:
     """Squared difference of a forest from a frame, in sRGB values."""
-    renderer.set_time(frames.time(number))
-    shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).numpy()
+    shown = show(frames.camera(number), frames.time(number))
     return float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frames.radiance(number))) ** 2))
 
 
 def trained_psnr(frames: GrowingFrames, forest: Forest) -> float:
     """PSNR in dB of a forest in the frames that it was trained on."""
-    renderer = ForestRenderer(device_arrays(), forest)
-    return decibels(float(np.mean([_difference(frames, number, renderer) for number in _asked(frames)])))
+    show = finest_shown(forest)
+    return decibels(float(np.mean([_difference(frames, number, show) for number in _asked(frames)])))
 
 
 VIEWS = "views"
@@ -126,7 +121,7 @@ def limit_of(frames_db: float, trained_db: float, held_out_db: float) -> str:
     """
     of_frames, trained, held_out = (10 ** (-db / 10) for db in (frames_db, trained_db, held_out_db))
     shares = {SAMPLES: of_frames, GAUSSIANS: trained - of_frames, VIEWS: held_out - trained}
-    return max(shares, key=lambda name: shares[name])
+    return max(shares, key=shares.__getitem__)
 
 
 # What doubling the samples of a denoised frame gains at least and at most, in dB; it was 1.0 (caustics) to

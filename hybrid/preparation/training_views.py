@@ -29,11 +29,7 @@ Frames = FrameSet | PosedFolder
 
 
 def read_frames(folder: Path) -> Frames:
-    """A frame set, or a folder of posed images, whichever a folder is.
-
-    Raises:
-        UserError: it is neither, or damaged.
-    """
+    """A frame set, or a folder of posed images; UserError if a folder is neither, or damaged."""
     if is_posed_folder(folder):
         return read_posed_folder(folder)
     try:
@@ -59,11 +55,7 @@ def posed_view(image: PosedImage) -> TrainingView:
 
 
 def motion_for(frames: Frames, asked: MotionModel | None, labels: Labels | None = None) -> MotionModel:
-    """The model of motion for frames: what was asked for, else what they allow.
-
-    Raises:
-        UserError: they cannot be trained with what was asked for.
-    """
+    """The model of motion that was asked for, else what frames allow; UserError if they do not allow it."""
     if isinstance(frames, FrameSet):
         return asked or MotionModel.KNOWN
     learned = [model.value for model in MotionModel if model.field is not None]
@@ -94,11 +86,8 @@ def labelled_views(frames: Frames, settings: TrainingSettings) -> list[TrainingV
     wanted = settings.labels
     if wanted is None and settings.motion is MotionModel.D_GS_OF_DYNAMIC:
         wanted = Labels.MASKS if all(view.instance is not None for view in views) else Labels.FLOW
-    return _with_flow(frames, views) if wanted is Labels.FLOW else views
-
-
-def _with_flow(frames: Frames, views: list[TrainingView]) -> list[TrainingView]:
-    """Views whose pixels are labelled by what frames of other times show."""
+    if wanted is not Labels.FLOW:
+        return views
     albedos: Sequence[NDArray[np.float32] | None] = [None] * len(views)
     if isinstance(frames, FrameSet):
         albedos = [read_frame(entry.file, entry.size).albedo for entry in frames.training]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 import torch
 
@@ -14,11 +15,13 @@ from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
 from compose.fovea.samples import Samples
 from compose.fusion.parents import Parents
-from compose.image.colour import Image
-from compose.image.device_image import DeviceImage
-from compose.image.outliers import MOST, all_plain, filled, outliers
+from compose.image.colour import MOST, Image, filled, outliers
+from compose.image.device_image import DeviceImage, all_plain
 from hybrid.base.compute_device import device_arrays
 from pathtrace.trace.traced_images import denoise, denoise_coarsely
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 
 @dataclass(frozen=True)
@@ -67,19 +70,19 @@ class DiscImages:
     """
 
     disc: Disc
-    radiance: list[Any]
-    albedo: list[Any]
-    normal: list[Any]
-    count: Any
+    radiance: list[Float]
+    albedo: list[Float]
+    normal: list[Float]
+    count: Float
 
     @staticmethod
-    def of(disc: Disc, samples: Samples, surroundings: list[Any]) -> DiscImages:
+    def of(disc: Disc, samples: Samples, surroundings: list[Float]) -> DiscImages:
         """The samples of a disc's D pixels.
 
         Surroundings are three Floats (h * w,), radiance of the image's pixels outside the disc; those that
         are not finite, or out of proportion to all samples, count as black.
         """
-        brightest: Any = 1.0
+        brightest: Float | float = 1.0
         for channel in samples.radiance:
             brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
         most = MOST * dr.max(brightest)
@@ -93,13 +96,13 @@ class DiscImages:
         dr.eval(channels)
         return DiscImages(disc, channels[:3], channels[3:6], channels[6:9], channels[9])
 
-    def tensors(self) -> list[Any]:
+    def tensors(self) -> list[mi.TensorXf]:
         """Radiance, albedo and normal as tensors (h, w, 3)."""
         found = [self.disc.tensor(channels) for channels in (self.radiance, self.albedo, self.normal)]
         dr.eval(found)
         return found
 
-    def denoised(self, quick: bool) -> Any:
+    def denoised(self, quick: bool) -> mi.TensorXf:
         """(h, w, 3) tensor of denoised radiance, by the quicker network if `quick`; outliers stay."""
         radiance, albedo, normal = self.tensors()
         if all_plain(self.radiance):
@@ -110,12 +113,12 @@ class DiscImages:
         return type(radiance)(np.where(wrong, image, right))
 
 
-def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
+def denoised_for_fusion(tensors: list[mi.TensorXf], quick: bool) -> mi.TensorXf:
     """(h, w, 3) tensor of denoised radiance as one parent of several; at half the resolution if quick."""
     return (denoise_coarsely if quick else denoise)(*_plain(tensors))
 
 
-def _plain(tensors: list[Any]) -> tuple[Any, Any, Any]:
+def _plain(tensors: list[mi.TensorXf]) -> tuple[mi.TensorXf, mi.TensorXf, mi.TensorXf]:
     """Radiance, albedo and normal (h, w, 3), what surrounds them in place of outliers of radiance."""
     radiance, albedo, normal = tensors
     if not all_plain([radiance.array]):
@@ -124,7 +127,7 @@ def _plain(tensors: list[Any]) -> tuple[Any, Any, Any]:
     return radiance, albedo, normal
 
 
-def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any) -> list[list[Any]]:
+def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: UInt) -> list[list[Float]]:
     """Of images (h, w, 3) of a disc three Floats (N,) each, in some of its pixels, UInt (N,)."""
     arrays, size = disc.arrays, disc.arrays.constant(disc.shape[0] * disc.shape[1])
     # At once: each tensor that Dr.Jit takes costs as much as a small kernel.
@@ -135,7 +138,7 @@ def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: Any)
     return [channels[k : k + 3] for k in range(0, len(channels), 3)]
 
 
-def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
+def _planes(disc: Disc, channels: list[Float]) -> torch.Tensor:
     """(C, h, w) tensor of torch, channels of a disc's image."""
     plain, (height, width) = disc.arrays.plain, disc.shape
     size = height * width
@@ -146,12 +149,13 @@ def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
     return _torch(plain.TensorXf(buffer, (len(channels), height, width)))
 
 
-def _torch(tensor: Any) -> torch.Tensor:
+def _torch(tensor: mi.TensorXf) -> torch.Tensor:
     """The tensor as torch's, in the same memory; in a copy if this torch has no card.
 
     On a card, Dr.Jit's queue and torch's default one wait for each other.
     """
     if dr.backend_v(tensor) is dr.JitBackend.CUDA and device_arrays().device.type != "cuda":
         return torch.from_numpy(tensor.numpy())
-    shared: torch.Tensor = tensor.torch()
+    shared = tensor.torch()
+    assert isinstance(shared, torch.Tensor)
     return shared

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -22,6 +22,9 @@ from hybrid.render.disc_images import Underlay, channels_of, parents_of
 from pathtrace.trace.film import pixel_positions
 from pathtrace.trace.first_hit import AuxiliaryFeatures
 from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # From this many samples per pixel on, a share of them is traced everywhere; it shows where the others are
 # needed.
@@ -49,7 +52,7 @@ class DiscRequest:
 class _Sequence(NamedTuple):
     """Where the next samples lie in their pixels."""
 
-    taken: Any  # samples already drawn, UInt (D,) or one number for all pixels
+    taken: mi.UInt32 | int  # samples already drawn, UInt (D,) or one number for all pixels
     pattern: int  # seed of the sampling pattern
 
 
@@ -117,7 +120,7 @@ class DiscTracer:
         self._history.remember(new)
         return merged(known, new)
 
-    def trace_each(self, camera: Camera, pixels: Any, counts: int | Counts, seed: int) -> Samples:
+    def trace_each(self, camera: Camera, pixels: UInt, counts: int | Counts, seed: int) -> Samples:
         """Samples of UInt (D,) pixels, at least 1 in each; earlier frames are ignored."""
         if not dr.width(pixels):
             return Samples.none(self._arrays, pixels)
@@ -193,19 +196,19 @@ class DiscTracer:
         return self._sampled(pixels, spp, replace(traced, features=features))
 
     def _even(
-        self, request: DiscRequest, known: Samples, spp: int, have: Any, sequence: _Sequence
+        self, request: DiscRequest, known: Samples, spp: int, have: Float, sequence: _Sequence
     ) -> Samples:
         """New samples, `spp` per pixel on average, more of them where there are fewer, Float (D,), so far."""
         even = dr.full(type(have), 1, known.size)
-        counts = allotted(even, have, spp * known.size, request.seed)
+        counts = allotted(self._arrays, even, have, spp * known.size, request.seed)
         return self._added(request.camera, _without_light(known), counts, request.seed, sequence)
 
-    def _sequence(self, camera: Camera, pixels: Any, seed: int) -> _Sequence:
+    def _sequence(self, camera: Camera, pixels: UInt, seed: int) -> _Sequence:
         if self._history is None:
             return _Sequence(0, seed)
         return _Sequence(*self._history.sampled(camera, pixels, seed))
 
-    def _seen(self, camera: Camera, pixels: Any, spp: int, seed: int) -> Samples:
+    def _seen(self, camera: Camera, pixels: UInt, spp: int, seed: int) -> Samples:
         """Pixels, at least one, with auxiliary features but without radiance."""
         sequence = self._sequence(camera, pixels, seed)
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
@@ -222,7 +225,7 @@ class DiscTracer:
     def _traced(
         self,
         camera: Camera,
-        pixels: Any,
+        pixels: UInt,
         counts: int | Counts,
         seed: int,
         sequence: _Sequence,
@@ -235,7 +238,7 @@ class DiscTracer:
         )
         return self._sampled(pixels, counts, traced)
 
-    def _have(self, disc: Disc, known: Samples) -> Any:
+    def _have(self, disc: Disc, known: Samples) -> Float:
         """Float (D,), samples per pixel in the neighbourhood of each pixel.
 
         Reprojected samples fall on pixels at random. Filling every gap among them would take several samples
@@ -249,7 +252,7 @@ class DiscTracer:
         total, number = (dr.gather(type(of), of, disc.inside) for of in sums)
         return dr.select(known.count < 1, 0, dr.maximum(total / number, 1))
 
-    def _sampled(self, pixels: Any, counts: int | Counts, traced: Traced) -> Samples:
+    def _sampled(self, pixels: UInt, counts: int | Counts, traced: Traced) -> Samples:
         """What was traced of (D,) pixels, `counts` samples in each."""
         Float = self._arrays.plain.Float
         each = dr.full(Float, counts, dr.width(pixels)) if isinstance(counts, int) else Float(counts.each)
@@ -267,7 +270,7 @@ def _first_spp(spp: int) -> int:
     return max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
 
 
-def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Underlay) -> int | Counts:
+def _second_counts(request: DiscRequest, known: Samples, have: Float, underlay: Underlay) -> int | Counts:
     """The samples that go where what is known disagrees with the splats; `have` (D,) surround each pixel."""
     disc = request.disc
     # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
@@ -278,14 +281,14 @@ def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Un
     worth = dr.gather(type(differs), differs, disc.inside)
     left = (request.spp - _first_spp(request.spp)) * disc.count
     # The second samples must not repeat the random numbers of the first ones.
-    return allotted(worth, have, left, request.seed + _SECOND_STREAM)
+    return allotted(disc.arrays, worth, have, left, request.seed + _SECOND_STREAM)
 
 
-def _chosen(arrays: Arrays, counts: int | Counts, size: int) -> tuple[Any, int | Counts]:
+def _chosen(arrays: Arrays, counts: int | Counts, size: int) -> tuple[UInt, int | Counts]:
     """Indices (M,) of those of D pixels that get samples, and how many."""
     if isinstance(counts, int):
         return dr.arange(arrays.plain.UInt, size), counts
-    chosen = dr.compress(counts.each > 0)
+    chosen = arrays.plain.UInt(dr.compress(counts.each > 0))
     return chosen, replace(counts, each=dr.gather(type(counts.each), counts.each, chosen))
 
 
@@ -295,9 +298,10 @@ def _without_light(samples: Samples) -> Samples:
     return replace(samples, count=dark, radiance=[dark] * 3, squares=[dark] * 3)
 
 
-def _plain(channels: list[Any]) -> list[Any]:
+def _plain(channels: list[mi.Float]) -> list[Float]:
     """Mitsuba's floats as arrays without derivatives."""
-    return [dr.detach(channel, preserve_type=False) for channel in channels]
+    # The stub does not know that their type changes.
+    return [dr.detach(channel, preserve_type=False) for channel in channels]  # type: ignore[misc]
 
 
 def _showing(samples: Samples, seen: AuxiliaryFeatures) -> Samples:

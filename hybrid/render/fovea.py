@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
@@ -18,6 +18,9 @@ from hybrid.base.compute_device import device_arrays, torch_working_on
 from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from pathtrace.trace.tracer import Tracer
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
 
 
 @dataclass(frozen=True)
@@ -34,10 +37,10 @@ class FoveaImage:
     """
 
     disc: Disc
-    radiance: list[Any]
+    radiance: list[Float]
     samples: Samples
-    denoised: list[Any] | None = None
-    weights: list[Any] | None = None
+    denoised: list[Float] | None = None
+    weights: list[Float] | None = None
     excluded: int = 0
 
 
@@ -105,8 +108,8 @@ class Fovea:
             if surroundings is None:
                 raise ValueError("a denoised fovea requires the radiance around the disc")
             images = DiscImages.of(disc, samples, disc.of_frame(surroundings))
-            flat = images.denoised(quick).array
-            denoised = [dr.gather(type(flat), flat, disc.inside * 3 + c) for c in range(3)]
+            flat, kind = images.denoised(quick).array, disc.arrays.plain.Float
+            denoised = [dr.gather(kind, flat, disc.inside * 3 + c) for c in range(3)]
             return FoveaImage(disc, denoised, samples, denoised)
         if underlay is None:
             raise ValueError("a fused fovea requires the splats under the disc")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.hole_filling import Fill
 from hybrid.render.image_files import write_exr, write_png
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +51,7 @@ class Frame:
     image: DeviceImage
     settings: FrameSettings
     camera: Camera
-    behind: list[Any]
+    behind: list[Float]
     detail: DetailMap
     nodes_drawn: int
     fovea: FoveaImage
@@ -79,7 +82,7 @@ class Frame:
         """Share of the frame, 0 to 1, that was path-traced because the forest does not know it."""
         return 0.0 if self.fill is None else self.fill.share
 
-    def of_disc(self, channels: list[Any]) -> NDArray[np.float32]:
+    def of_disc(self, channels: list[Float]) -> NDArray[np.float32]:
         """(H, W, C) host image of channels, C Floats (D,), of the disc's pixels; black elsewhere."""
         return self.fovea.disc.frame_image(channels)
 

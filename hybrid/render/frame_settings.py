@@ -28,12 +28,12 @@ class Converted(Generic[Given, Kept]):
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = f"_{name}"
 
-    def __get__(self, instance: Any, owner: type | None = None) -> Kept:
+    def __get__(self, instance: object, owner: type | None = None) -> Kept:
         # Dataclasses read a field's default from the class.
         kept: Kept = self._default if instance is None else instance.__dict__[self._name]
         return kept
 
-    def __set__(self, instance: Any, value: Given) -> None:
+    def __set__(self, instance: object, value: Given) -> None:
         instance.__dict__[self._name] = self._convert(value)
 
 

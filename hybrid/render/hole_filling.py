@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -33,6 +33,9 @@ from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import Forest
 from splat.raster.tiles import TILE
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
 
 # Rows and columns of the depth map of a training view.
 _MAP = 64
@@ -169,7 +172,7 @@ class Fill:
     """What is filled of a frame: D pixels with weights, and linear radiance, three Floats (D,)."""
 
     disc: Disc
-    radiance: list[Any]
+    radiance: list[Float]
 
     @property
     def share(self) -> float:
@@ -231,7 +234,7 @@ class Filler:
 
     def _light(
         self, tracer: Tracer, camera: Camera, cells: NDArray[np.bool_], effort: FillEffort, seed: int
-    ) -> tuple[Any, Disc]:
+    ) -> tuple[mi.TensorXf, Disc]:
         """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
 
         Of the cells in which a frame is tried, (rows, columns) says which. Returns a tensor (h, w, 3) of the
@@ -254,7 +257,7 @@ class Filler:
         dr.eval(light)
         return light, known
 
-    def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
+    def _lit(self, disc: Disc, albedo: list[mi.Float], light: mi.TensorXf, known: Disc) -> list[Float]:
         """Radiance of the D pixels with an albedo in a light that is linear between its pixels.
 
         Of the light the tensor (h, w, 3) has the rectangle around its known pixels; outside that, it is 0.
@@ -294,14 +297,18 @@ def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: in
         first = plain.UInt(place)
         taps.append((first, dr.minimum(first + 1, last), place - plain.Float(first)))
     (top, bottom, down), (left, right, along) = taps
-    lines = [
-        dr.lerp(*(dr.gather(plain.Float, shares, line * columns + at) for at in (left, right)), along)
+    upper, lower = (
+        dr.lerp(
+            dr.gather(plain.Float, shares, line * columns + left),
+            dr.gather(plain.Float, shares, line * columns + right),
+            along,
+        )
         for line in (top, bottom)
-    ]
-    weights = dr.lerp(*lines, down)
+    )
+    weights = dr.lerp(upper, lower, down)
     shown = weights > 0
     dr.eval(weights, shown)
-    pixels = dr.compress(shown)
+    pixels = plain.UInt(dr.compress(shown))
     return Disc(arrays, width, height, pixels, dr.gather(plain.Float, weights, pixels), None)
 
 

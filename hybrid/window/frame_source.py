@@ -13,7 +13,7 @@ from compose.camera.camera import Camera
 from hybrid.base.compute_device import PassClock, release_memory
 from hybrid.base.progress import Progress, bars_of
 from hybrid.preparation.preparation import prepare, with_forest
-from hybrid.preparation.scene_plan import scene_as_stored, with_plan_of
+from hybrid.preparation.scene_plan import as_stored, with_plan_of
 from hybrid.preparation.stages import GLIMPSE, PreparationSettings
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
@@ -24,7 +24,7 @@ from hybrid.window.learning import ShownScene, Watched, forest_to_show
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
-from pathtrace.scene.scene import Scene
+from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace import Integrator
 
 # Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
@@ -197,7 +197,7 @@ def prepared(
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(scene.backend)
     bars = bars_of(report)
-    loaded = scene_as_stored(scene.source, thin_glass=scene.thin_glass, sensor=scene.sensor)
+    loaded = as_stored(load_scene(scene.source, thin_glass=scene.thin_glass, sensor=scene.sensor))
     path, is_unfinished = (forest, False) if forest else forest_to_show(loaded)
     if path is None:
         glimpse = prepare(loaded, PreparationSettings(quality=GLIMPSE, held_out=0), bars)

@@ -7,7 +7,7 @@ a thousand. Mitsuba 3.10 looks up where an instance is instead, and so do kernel
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from compose.base.collector import collector_paused
-from compose.base.frozen import Frozen, Passed, rebuilt
+from compose.base.frozen import Frozen, Passed, collector_paused
 
 # What rays are traced through.
 AnyScene: TypeAlias = "mi.Scene | InstancedScene"
@@ -240,7 +239,7 @@ def _place(hit: mi.SurfaceInteraction3f, to_world: list[mi.Vector4f], to_object:
         setattr(hit, name, mi.Vector3f(change - hit.sh_frame.n * dr.dot(hit.sh_frame.n, change)))
 
 
-class FrozenWithScenes(Frozen, Generic[_Result]):
+class FrozenWithScenes(Frozen[_Result]):
     """A frozen function that takes scenes, as arguments of their own, in nothing else.
 
     To walk through a scene of 38 shapes at each call takes 2 ms. So its arrays pass in its place, and are
@@ -256,13 +255,12 @@ class FrozenWithScenes(Frozen, Generic[_Result]):
             scenes = mi.Scene, InstancedScene
             given = tuple(self._known(each) if type(each) in scenes else each for each in arguments)
             try:
-                result = self.replayed(given)
+                return self.replayed(given)
             except RuntimeError:
                 # Another recording, where scenes came into memory since the arrays were looked for.
                 if not sum(each.renewed() for each in given if type(each) is _Scene):
                     raise
-                result = self.replayed(given)
-        return rebuilt(result)
+                return self.replayed(given)
 
     def _known(self, scene: AnyScene) -> _Scene:
         # What is kept holds the scene, so that no other one gets its address.

@@ -17,7 +17,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from compose.base.arrays import Arrays, constant
-from compose.base.collector import collector_paused
+from compose.base.frozen import collector_paused
 from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
 
 TAPS = 11

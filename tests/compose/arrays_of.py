@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays, uploaded
 from compose.base.traced_samples import Counts
 from compose.fovea.disc import Disc
-from compose.fovea.earlier_views import EarlierView
-from compose.fovea.reprojection import Reprojected
+from compose.fovea.reprojection import EarlierView, Reprojected
 from compose.fovea.samples import Samples
 from compose.image.device_image import DeviceImage, shape_of
 

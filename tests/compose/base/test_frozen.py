@@ -1,7 +1,9 @@
-"""Frozen functions whose recordings differ by the widths of arguments, and sizes that keep those few."""
+"""Frozen functions: recordings by widths of arguments, sizes that keep those few, the collector's pauses."""
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from compose.base.arrays import uploaded
-from compose.base.frozen import Frozen, capacity
+from compose.base.frozen import Frozen, capacity, collector_paused
 
 
 @dataclass(frozen=True)
@@ -64,3 +66,41 @@ def test_capacities_are_hardly_larger_than_what_they_are_for(count):
 
 def test_capacities_are_few():
     assert len({capacity(count) for count in range(1024, 1 << 14)}) <= 4 * 4 + 1
+
+
+@pytest.fixture(autouse=True)
+def collector() -> Iterator[None]:
+    """Whatever a test does, the collector runs afterwards."""
+    gc.enable()
+    yield
+    gc.enable()
+
+
+def test_the_collector_is_paused_inside():
+    with collector_paused():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+
+
+def test_it_runs_again_after_an_error():
+    with pytest.raises(ValueError, match="inside"), collector_paused():
+        raise ValueError("inside")
+    assert gc.isenabled()
+
+
+def test_it_stays_off_where_it_was_off():
+    gc.disable()
+    with collector_paused():
+        pass
+    assert not gc.isenabled()
+
+
+def test_pauses_overlap_in_any_order():
+    """As those of two threads do."""
+    one, other = collector_paused(), collector_paused()
+    one.__enter__()
+    other.__enter__()
+    one.__exit__(None, None, None)
+    assert not gc.isenabled()
+    other.__exit__(None, None, None)
+    assert gc.isenabled()

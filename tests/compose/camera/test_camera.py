@@ -1,4 +1,4 @@
-"""Pinhole cameras: projection, rays, resizing, equality."""
+"""Pinhole cameras: projection, rays, resizing, equality, turning, two eyes, times among steps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compose.camera.camera import Camera, camera_from_pose, look_at
+from compose.camera.camera import Camera, between_steps, camera_from_pose, eyes, look_at, turned
 
 POSITION, TARGET = np.array([1.0, 2.0, 3.0]), np.array([0.2, -0.5, 0.4])
 POSE = look_at(POSITION, TARGET, np.array([0.0, 0.0, 1.0]))
@@ -134,3 +134,74 @@ def test_a_camera_is_not_equal_to_anything_else():
 
 def test_intrinsics_become_floats():
     assert all(type(getattr(CAMERA, name)) is float for name in ("fx", "fy", "cx", "cy"))
+
+
+FORWARD = np.array([0.0, 0.0, 1.0])
+
+
+def test_positive_yaw_looks_right_and_positive_pitch_up():
+    """OpenCV axes: x points right, y down."""
+    np.testing.assert_allclose(turned(np.eye(3), 90, 0) @ FORWARD, [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(turned(np.eye(3), 0, 90) @ FORWARD, [0, -1, 0], atol=1e-12)
+
+
+def test_yaw_then_pitch_by_hand():
+    """To the right by 90 degrees, then up by 30: cos 30 and sin 30 remain."""
+    expected = [np.sqrt(3) / 2, -0.5, 0]
+    np.testing.assert_allclose(turned(np.eye(3), 90, 30) @ FORWARD, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0, 0), (20, -10), (-130, 60)])
+def test_the_result_is_a_rotation_with_a_level_horizon(yaw, pitch):
+    rotation = turned(np.eye(3), yaw, pitch)
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    # The camera's x axis has no vertical part.
+    assert rotation[1, 0] == pytest.approx(0, abs=1e-12)
+
+
+def test_a_camera_turns_about_its_own_axes():
+    """A camera that looks down sees what was above its frame after pitching up by 90 degrees."""
+    down = turned(np.eye(3), 0, -90)
+    np.testing.assert_allclose(turned(down, 0, 90), np.eye(3), atol=1e-12)
+    # Its own y axis points backwards in the world, so that yaw does not change its height.
+    np.testing.assert_allclose(turned(down, 90, 0) @ FORWARD, [1, 0, 0], atol=1e-12)
+
+
+def viewer() -> Camera:
+    pose = look_at(np.array([1.0, 2.0, -3.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    return camera_from_pose(pose, 48, 32, 40.0, 40.0, 24.0, 16.0)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.063, 2.0])
+def test_eyes_are_beside_each_other_and_look_the_same_way(distance):
+    camera = viewer()
+    left, right = eyes(camera, distance)
+    across = camera.camera_to_world[:3, 0]
+    np.testing.assert_allclose(right.position - left.position, distance * across, atol=1e-12)
+    np.testing.assert_allclose((right.position + left.position) / 2, camera.position, atol=1e-12)
+    for eye in (left, right):
+        np.testing.assert_array_equal(eye.world_to_camera[:3, :3], camera.world_to_camera[:3, :3])
+        assert (eye.width, eye.height, eye.fx) == (camera.width, camera.height, camera.fx)
+
+
+def test_what_is_near_lies_further_right_for_the_left_eye():
+    camera = viewer()
+    point = camera.position + 2 * camera.camera_to_world[:3, 2]
+    left, right = (eye.project(point[None])[0][0, 0] for eye in eyes(camera, 0.1))
+    assert left - right == pytest.approx(0.1 / 2 * camera.fx)
+
+
+@pytest.mark.parametrize(
+    ("time", "count", "first", "share"),
+    [
+        (0.0, 2, 0, 0.0),
+        (1.0, 2, 0, 1.0),
+        (0.25, 2, 0, 0.25),
+        (0.5, 5, 2, 0.0),
+        (0.9, 5, 3, 0.6),
+        (1.0, 5, 3, 1.0),
+    ],
+)
+def test_a_time_lies_between_two_values(time, count, first, share):
+    assert between_steps(time, count) == (first, pytest.approx(share))

@@ -15,7 +15,7 @@ def allotted(arrays):
 
     def run(worth: np.ndarray, have: np.ndarray, total: int, seed: int) -> np.ndarray:
         given = floats(arrays, worth), floats(arrays, have)
-        return each_of(adaptive.allotted(*given, total, seed), len(have))
+        return each_of(adaptive.allotted(arrays, *given, total, seed), len(have))
 
     return run
 

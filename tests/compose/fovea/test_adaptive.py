@@ -138,9 +138,9 @@ def test_allotments_match_a_plain_twin(allotted, size, spread):
 
 def test_a_number_for_all_is_one_number(arrays):
     ones, zeros = floats(arrays, np.ones(7)), floats(arrays, np.zeros(7))
-    assert adaptive.allotted(ones, zeros, 21, 0) == 3
-    assert adaptive.allotted(ones, zeros, 0, 0) == 0
-    assert isinstance(adaptive.allotted(ones, zeros, 22, 0), Counts)
+    assert adaptive.allotted(arrays, ones, zeros, 21, 0) == 3
+    assert adaptive.allotted(arrays, ones, zeros, 0, 0) == 0
+    assert isinstance(adaptive.allotted(arrays, ones, zeros, 22, 0), Counts)
 
 
 def test_pixels_that_get_nothing_between_others_do_not_wrap_around(allotted):

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from compose.eye.detail import CELL
-from compose.fovea.cells import CellRegion, chosen
-from compose.fovea.tiling import BORDER
+from compose.fovea.cells import BORDER, CellRegion, chosen
 from tests import small
 from tests.compose.arrays_of import channels, host, image_on
 

@@ -8,7 +8,7 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from compose.fovea.foveation import FoveaRegion, Foveation
+from compose.fovea.foveation import FoveaMode, FoveaRegion, Foveation
 from tests import small
 from tests.compose.arrays_of import channels
 
@@ -209,3 +209,7 @@ def test_no_kernel_is_compiled_for_another_gaze(arrays):
         kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
     assert kernels
     assert all(entry["cache_hit"] for entry in kernels)
+
+
+def test_modes_have_the_names_that_settings_and_files_use():
+    assert [FoveaMode(name) for name in ("raw", "denoised", "fused")] == list(FoveaMode)

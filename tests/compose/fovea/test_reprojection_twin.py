@@ -10,8 +10,7 @@ import pytest
 
 from compose.base.traced_samples import ALWAYS, STILL, UNSTEADY, Moment
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.fovea.earlier_views import MOST_VIEWS, EarlierViews
-from compose.fovea.reprojection import reproject
+from compose.fovea.reprojection import MOST_VIEWS, EarlierViews, reproject
 from compose.fovea.samples import RECORD
 from tests import small
 from tests.compose.arrays_of import PlainReprojected, PlainSamples, PlainView

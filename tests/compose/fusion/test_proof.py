@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from compose.fusion import proof as module
-from compose.fusion.fitting import Example
+from compose.fusion import fitting as module
+from compose.fusion.fitting import TRIAL_ITERATIONS, Example, prove, trials
 from compose.fusion.network import Fusion
-from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
 from tests.compose.fusion.examples import blurred, example, radiance_of
 
 SIZE = 128

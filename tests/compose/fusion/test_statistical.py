@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from compose.fusion import statistical as module
+from compose.fusion import combination as module
+from compose.fusion.combination import statistical
 from compose.fusion.parents import Parents, as_batch
-from compose.fusion.statistical import statistical
 from tests.compose.fusion.examples import blurred, error, example, radiance_of
 
 Array = NDArray[np.float64]

@@ -7,9 +7,10 @@ import json
 import pytest
 
 from hybrid.cli import capture as command
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from pathtrace.dataset import capture as module
 from pathtrace.dataset.frame_set import CaptureSettings, read_frame_set
+from pathtrace.scene.scene import load_scene
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -53,7 +54,7 @@ def test_the_defaults_are_those_of_the_settings(monkeypatch, tmp_path):
 
     monkeypatch.setattr(module, "capture", capture)
     assert run(monkeypatch, command.capture.__name__, "cornell", tmp_path / "f") != 0
-    planned = planned_scene("cornell").plan["samples"]
+    planned = as_planned(load_scene("cornell")).plan["samples"]
     assert given == [CaptureSettings(spp=planned), True]
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 from hybrid.cli import options
 from hybrid.cli.prepare import quickstart as command
 from hybrid.evaluation import quickstart as module
-from hybrid.preparation.scene_plan import scene_as_stored
+from hybrid.preparation.scene_plan import as_stored
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 from pathtrace.scene.scene import load_scene
 from tests.hybrid.command import run
@@ -30,7 +30,7 @@ def test_a_plan_is_shown_stored_and_drawn(monkeypatch, tmp_path, capsys):
     assert all(name in shown for name in rows)
     # Three images, a diagram and a table are no empty page.
     assert np.std(Image.open(tmp_path / "plan.png").convert("L")) > 20
-    scene = scene_as_stored("cornell")
+    scene = as_stored(load_scene("cornell"))
     assert scene.plan["degree"] == 1
     assert scene.max_depth == rows["path depth"]["value"]
 
@@ -41,7 +41,7 @@ def test_mistakes_are_named_before_the_scene_is_looked_at(monkeypatch, tmp_path,
     (tmp_path / "file").touch()
     assert run(monkeypatch, "plan", "cornell", "--picture", tmp_path / "file" / "p.png") == 2
     assert "file" in capsys.readouterr().err
-    assert scene_as_stored("cornell").plan == {}
+    assert as_stored(load_scene("cornell")).plan == {}
 
 
 def test_other_commands_override_it_too(monkeypatch, tmp_path, capsys):

@@ -14,12 +14,13 @@ from compose.camera.camera import eyes
 from compose.camera.coordinate_systems import camera_from_json
 from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.cli.render import render as command
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render import video
 from hybrid.render.forest_attachments import attach_views
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 from hybrid.render.image_files import read_exr
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest, save_forest
 from tests.conftest import real_file
 from tests.extremes import extreme
@@ -52,7 +53,7 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
     out, options = tmp_path / "a.json", ["--size", 40, 30, "--gaze", 0.3, 0.6, "--fov-a", 30, "--fov-b", 10]
     options += ["--spp", 3, "--fovea", "denoised", "--acuity-model", "fov-gs", "--layers", 1, 2, "--seed", 5]
     assert render(*options, "--display", "hmd", "-o", tmp_path / "a.exr", "--json", out) == 0
-    scene = planned_scene("cornell")
+    scene = as_planned(load_scene("cornell"))
     settings = FrameSettings((0.3, 0.6), 30, 10, 3, "denoised", "fov-gs", (1, 2), display="hmd")
     settings = replace(settings, camera=scene.camera.resized(40, 30))
     frame = Renderer(scene, load_forest(made / "box.forest")).frame(settings, 5)
@@ -86,7 +87,7 @@ def test_both_eyes_are_written(render, made, tmp_path):
     """Each is the frame of a camera of its own; at no distance, both are the same one."""
     common = ["--size", 40, 30, "--seed", 5, "--json", tmp_path / "a.json"]
     assert render(*common, "--eyes", 0.4, "-o", tmp_path / "a.exr") == 0
-    scene = planned_scene("cornell")
+    scene = as_planned(load_scene("cornell"))
     renderer = Renderer(scene, load_forest(made / "box.forest"))
     for name, camera in zip(("left", "right"), eyes(scene.camera.resized(40, 30), 0.4), strict=True):
         found = read_exr(tmp_path / f"a-{name}.exr")["composite.G"]
@@ -130,7 +131,7 @@ def test_without_options_the_scenes_own_view_is_rendered(render, tmp_path, monke
     assert render("-o", tmp_path / "a.png") == 0
     ((settings, seed),) = given
     assert seed == 0
-    assert settings == replace(DEFAULTS, camera=planned_scene("cornell").camera)
+    assert settings == replace(DEFAULTS, camera=as_planned(load_scene("cornell")).camera)
 
 
 def test_what_the_eye_resolves_is_shown(render, tmp_path):
@@ -156,7 +157,7 @@ def test_a_camera_may_come_from_a_file(render, made, tmp_path):
     none = ["--fov-a", 0, "--fov-b", 0, "--acuity-model", "none", "--camera", tmp_path / "camera.json"]
     assert render(*none, "-o", tmp_path / "a.exr") == 0
     settings = FrameSettings(fov_a=0, fov_b=0, acuity_model="none", camera=camera_from_json(camera))
-    expected = Renderer(planned_scene("cornell"), load_forest(made / "box.forest")).frame(settings)
+    expected = Renderer(as_planned(load_scene("cornell")), load_forest(made / "box.forest")).frame(settings)
     np.testing.assert_array_equal(read_exr(tmp_path / "a.exr")["R"], expected.composite[..., 0])
     assert render(*none, "--size", 48, 40, "-o", tmp_path / "a.png") == 0
     assert Image.open(tmp_path / "a.png").size == (48, 40)
@@ -168,7 +169,7 @@ def test_a_camera_may_come_from_a_file(render, made, tmp_path):
     expected="the frame, and one line that says how much of it the forest does not know",
 )
 def test_a_view_that_the_forest_was_not_prepared_for_is_named(made, monkeypatch, tmp_path, capsys, got):
-    camera = planned_scene("cornell").camera.resized(40, 40)
+    camera = as_planned(load_scene("cornell")).camera.resized(40, 40)
     behind = replace(camera, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ camera.world_to_camera)
     save_forest(tmp_path / "a.forest", attach_views(load_forest(made / "box.forest"), [behind]))
     given = ["--forest", tmp_path / "a.forest", "--size", 40, 40, "-o", tmp_path / "a.png"]

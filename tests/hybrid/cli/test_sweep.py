@@ -10,8 +10,9 @@ from hybrid.cli import sweep as command
 from hybrid.evaluation import evaluation_page
 from hybrid.evaluation import sweep_run as module
 from hybrid.evaluation.sweep_catalogue import SweepEffort
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_settings import SWEEP, FrameSettings
+from pathtrace.scene.scene import load_scene
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -41,7 +42,7 @@ def sweep(made, monkeypatch):
 def test_without_options_resolutions_are_swept_as_the_paper_does(sweep):
     code, given = sweep()
     assert code == 0
-    assert given == [("resolution", planned_scene("cornell").camera, SWEEP, SweepEffort(15, 2, 64))]
+    assert given == [("resolution", as_planned(load_scene("cornell")).camera, SWEEP, SweepEffort(15, 2, 64))]
 
 
 def test_every_option_reaches_the_sweep(sweep):
@@ -49,7 +50,7 @@ def test_every_option_reaches_the_sweep(sweep):
     options += ["--fovea", "fused", "--display", "hmd", "--repeats", 4, "--warm-up", 5, "--reference-spp", 6]
     code, given = sweep(*options)
     assert code == 0
-    camera = planned_scene("cornell").camera.resized(40, 30)
+    camera = as_planned(load_scene("cornell")).camera.resized(40, 30)
     settings = FrameSettings(fov_a=30, fov_b=10, spp=3, fovea="fused", display="hmd", fill=False)
     assert given == [("acuity", camera, settings, SweepEffort(4, 5, 6))]
     code, given = sweep("--over", "band", "--acuity-model", "fov-gs")

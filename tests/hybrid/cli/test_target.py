@@ -13,8 +13,9 @@ from compose.base.errors import UserError
 from hybrid.cli.render import TradeTarget, measuring_command
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_settings import FrameSettings
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.hybrid.command import run
 
@@ -43,7 +44,7 @@ def render(made, monkeypatch, tmp_path, capsys):
 def store(made, metric: str = "jod", **base: str) -> MeasuredStore:
     """Stores measurements as a sweep does: 10 ms for quality 7, 20 ms for 8, and 40 ms for 9."""
     settings = FrameSettings(**base)
-    forest, scene = load_forest(made / "box.forest"), planned_scene("cornell")
+    forest, scene = load_forest(made / "box.forest"), as_planned(load_scene("cornell"))
     found = MeasuredStore("trade", scene, forest, (48, 40), settings)
     rows = ((10.0, 7.0), (20.0, 8.0), (40.0, 9.0))
     measured = [

@@ -10,9 +10,10 @@ import pytest
 from hybrid.base.cache_folder import keep_receipt, newest_forest
 from hybrid.cli import train as command
 from hybrid.preparation import forest_training as module
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.forest_attachments import plan_of_forest
 from pathtrace.dataset.frame_set import read_frame_set
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.model.choices import Precision
 from splat.training.trainer import TrainingSettings
@@ -36,12 +37,12 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
     assert row["left_out"] == {"frames": 0, "steps": 0}
     assert row["splat"] == {name: row["layers"][-1][name] for name in ("psnr", "ssim")}
     assert (row["scene"], row["iterations"]) == ("cornell", 40)
-    stored = newest_forest(planned_scene("cornell"))
+    stored = newest_forest(as_planned(load_scene("cornell")))
     assert stored.name == "f.safetensors"
     assert load_forest(stored).digest() == load_forest(tmp_path / "f.a").digest()
     planned = plan_of_forest(load_forest(stored))
     assert (planned["degree"], planned["layers"], planned["gaussians"]) == (1, 2, 400)
-    assert planned["path depth"] == planned_scene("cornell").max_depth
+    assert planned["path depth"] == as_planned(load_scene("cornell")).max_depth
     shown = capsys.readouterr().out.splitlines()
     assert f"in {row['trees']:,} trees" in shown[0]
     assert shown[2].startswith(f"layer 2: {row['layers'][1]['nodes']:,} nodes, held-out views ")
@@ -55,7 +56,7 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
 def test_frames_of_elsewhere_make_no_newest_forest(made, monkeypatch, tmp_path, capsys, got):
     assert run(monkeypatch, "train", made / "frames", tmp_path / "f.a", *TINY_TRAINING) == 0
     assert load_forest(tmp_path / "f.a").scene_name == "cornell"
-    assert got(newest_forest(planned_scene("cornell"))) is None
+    assert got(newest_forest(as_planned(load_scene("cornell")))) is None
     assert "frames was not captured with this cache folder" in capsys.readouterr().out
 
 
@@ -112,4 +113,4 @@ def test_a_learned_motion_does_not_replace_that_of_the_scene(monkeypatch, tmp_pa
     assert run(monkeypatch, "train", tmp_path / "frames", tmp_path / "f", *options) == 0
     assert "does not become the newest one of cloth" in capsys.readouterr().out.replace("\n", " ")
     assert load_forest(tmp_path / "f").motion is not None
-    assert newest_forest(planned_scene("cloth")) is None
+    assert newest_forest(as_planned(load_scene("cloth"))) is None

@@ -19,11 +19,12 @@ from hybrid.evaluation import quickstart as module
 from hybrid.evaluation.methods import FullTrace
 from hybrid.evaluation.quickstart import compare, quickstart
 from hybrid.measure import image_metrics as registration
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import read_exr
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.region.neighbourhood import unseen_views
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
 from tests.hybrid.preparation.tiny import make_tiny
@@ -44,7 +45,7 @@ def tiny(monkeypatch):
 
 
 def test_from_nothing_to_images_and_a_page(tiny, tmp_path):
-    scene, folder = planned_scene("room"), tmp_path / "out"
+    scene, folder = as_planned(load_scene("room")), tmp_path / "out"
     result = quickstart(scene, folder, FrameSettings(fov_a=30, fov_b=20, spp=2), 3)
     assert {path.name for path in folder.iterdir()} == WRITTEN | {"prepared-3"}
     composite = np.stack([read_exr(folder / "hybrid.exr")[f"composite.{c}"] for c in "RGB"], axis=2)
@@ -82,7 +83,7 @@ def test_nothing_was_fitted_to_the_views_that_are_judged(tiny, made, monkeypatch
             )[1],
         )
     (tmp_path / "out").mkdir()
-    scene = planned_scene("cornell")
+    scene = as_planned(load_scene("cornell"))
     result = quickstart(scene, tmp_path / "out", FrameSettings(spp=1), 0)
     unseen = [view.key for view in unseen_views(scene, 3, SIDE, SIDE)]
     assert given == {"judged_views": unseen, "compare": unseen}

@@ -17,9 +17,10 @@ from hybrid.measure.frame_times import (
     percentiles,
     reach_for,
 )
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 
 
@@ -63,7 +64,7 @@ def test_methods_take_turns_and_the_warm_up_does_not_count():
 class TestJitter:
     @pytest.fixture
     def renderer(self, made):
-        return Renderer(planned_scene("cornell"), load_forest(made / "box.forest"))
+        return Renderer(as_planned(load_scene("cornell")), load_forest(made / "box.forest"))
 
     def test_jittered_cameras_differ_by_less_than_can_be_seen(self, renderer):
         camera = renderer.scene.camera.resized(96, 64)

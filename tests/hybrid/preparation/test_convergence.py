@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.preparation.decisions import CONVERGED_DB, SAMPLES
-from hybrid.preparation.gaussian_count import GAUSSIANS
+from hybrid.preparation.decisions import CONVERGED_DB, GAUSSIANS, SAMPLES
 from hybrid.preparation.stage_frames import VIEWS, Pass, converging_seconds, limit_of
 from tests.extremes import extreme
 

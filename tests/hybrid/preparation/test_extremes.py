@@ -12,8 +12,8 @@ from compose.base.errors import UserError
 from compose.fusion.fitting import Example
 from hybrid.base.compute_device import device_arrays
 from hybrid.preparation import fusion_training as fusion
+from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.forest_training import LeftOut, say_left_out, train
-from hybrid.preparation.held_out import held_out_quality
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.captured_frames import read_estimate, read_frame, write_frame
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set

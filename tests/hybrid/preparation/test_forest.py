@@ -12,7 +12,7 @@ import torch
 
 from compose.base.errors import UserError
 from hybrid.preparation import forest_training as module
-from hybrid.preparation.error_learning import with_errors
+from hybrid.preparation.forest_errors import with_errors
 from hybrid.preparation.forest_training import checkpoint_path, train
 from hybrid.preparation.training_views import training_view
 from pathtrace.dataset.capture import capture

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from compose.fusion import fitting, proof
-from compose.fusion.fitting import Example
+from compose.fusion import fitting
+from compose.fusion.fitting import Example, Proof
 from compose.fusion.network import Fusion
-from compose.fusion.proof import Proof
 from hybrid.preparation import fusion_training as module
 from hybrid.preparation.fusion_training import fusion_steps, fusion_verdicts, with_fusion
 from hybrid.render.forest_attachments import attach_fusion, fusion_of
@@ -67,7 +66,7 @@ def examples(large, forest):
 def test_training_leaves_a_fusion_in_the_forest(large, forest, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ITERATIONS", 3)
     monkeypatch.setattr(fitting.fit, "__defaults__", (3,))
-    for place in (module, proof):
+    for place in (module, fitting):
         monkeypatch.setattr(place, "TRIAL_ITERATIONS", 2)
     steps = []
     found = with_fusion(large, forest, 0, lambda done, total: steps.append((done, total)))
@@ -153,7 +152,7 @@ def test_frames_without_examples_leave_the_forest_as_it_is(frames, large, forest
     for without in (frames, bare):
         assert fusion_steps(without) == 0
         assert with_fusion(without, forest, 0, ignore) is forest
-    assert fusion_steps(large) == fitting.ITERATIONS + 2 * proof.TRIAL_ITERATIONS == 1100
+    assert fusion_steps(large) == fitting.ITERATIONS + 2 * fitting.TRIAL_ITERATIONS == 1100
 
 
 def test_close_ups_belong_to_the_view_that_they_are_parts_of(large):

@@ -11,8 +11,8 @@ import torch
 from compose.base.errors import UserError
 from hybrid.base.compute_device import device_arrays
 from hybrid.preparation import fusion_training as fusion
+from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.forest_training import motion_of, train
-from hybrid.preparation.held_out import held_out_quality
 from hybrid.preparation.training_views import training_view
 from hybrid.render import frame_renderer as renderer_module
 from hybrid.render.frame_renderer import Renderer

@@ -7,23 +7,30 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from compose.base.errors import UserError
 from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR
 from compose.eye.display import DISPLAYS
 from compose.image.colour import srgb_from_radiance
 from hybrid.preparation.decisions import (
+    FIXED_GAUSSIANS,
+    GAUSSIANS,
     HALF,
     MOST_BIAS,
+    REGION,
     SINGLE,
     Decision,
     degree_decision,
     frame_precision_decision,
+    gaussians_decision,
     layers_decision,
+    parsed,
     path_decisions,
+    planned_needs,
     sample_decisions,
 )
-from hybrid.preparation.gaussian_count import gaussians_decision
 from hybrid.preparation.scene_look import Look, look_at_scene, traced_halves
-from hybrid.preparation.scene_plan import plan_of
+from hybrid.preparation.scene_plan import ScenePlan, overridden, plan_of
+from hybrid.preparation.stages import Needs
 from pathtrace.region import region_of
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
@@ -203,3 +210,54 @@ def test_a_scene_that_moves_is_looked_at_at_several_times(backend, tmp_path):
     again = look_at_scene(scene, surfaces, near, 0)
     np.testing.assert_array_equal(found.gloss[2], again.gloss[2])
     np.testing.assert_allclose(found.radiance[2], again.radiance[2], rtol=1e-5)
+
+
+def test_broad_regions_take_more_gaussians_but_not_as_many_times_more():
+    plain, broad = Needs(1.0, 0.8), Needs(4.0, 0.8)
+    assert plain.gaussians < broad.gaussians < 4 * plain.gaussians
+
+
+@pytest.mark.parametrize(
+    ("planned_for", "region", "gaussians"),
+    [("near", "near", 0.7), ("reachable", "reachable", 0.7), ("near", "reachable", 0.7 * 3**0.7)],
+)
+def test_gaussians_are_those_of_the_plan(planned_for, region, gaussians):
+    """Those of a plan for the default region grow with the region."""
+    plan = {GAUSSIANS: round(0.7 * FIXED_GAUSSIANS), REGION: planned_for}
+    breadth = 1.0 if region == "near" else 3.0
+    found = planned_needs(plan, region, breadth)
+    assert found.gaussians == pytest.approx(gaussians)
+    assert found.breadth == breadth
+
+
+def test_a_plan_for_another_region_tells_nothing():
+    plan = {GAUSSIANS: 100, REGION: "reachable"}
+    assert planned_needs(plan, "near", 1.0) == planned_needs({}, "near", 1.0) == Needs()
+
+
+def test_an_item_is_decided_by_the_user():
+    depth = Decision("path depth", 9, -1, {"beyond": 0.001}, 1.5, "segments per path")
+    plan = ScenePlan("any", "hash", (depth, Decision("degree", 2, 3, {}, 1.8, "harmonics")))
+    found = overridden(plan, parsed(["path depth = 12"]))
+    assert found.values() == {"path depth": 12, "degree": 2}
+    assert found.decisions[0].evidence == {"planned": 9, "beyond": 0.001}
+    assert found.decisions[0].gain == 1
+    assert found.decisions[1] is plan.decisions[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("degree", "must be NAME=VALUE"),
+        ("degree=4", "must be a whole number from 0 to 3"),
+        ("degree=-1", "must be a whole number"),
+        ("path depth=0", "from 1 to 1000000"),
+        ("layers=" + "9" * 5000, "must be a whole number"),
+        ("denoising=maybe", "must be denoised or raw"),
+        ("motion=still", "the scene decides all else"),
+        ("colour=red", "must be one of path depth"),
+    ],
+)
+def test_what_cannot_be_decided_is_refused(text: str, said: str):
+    with pytest.raises(UserError, match=said):
+        parsed([text])

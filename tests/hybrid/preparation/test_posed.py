@@ -10,8 +10,8 @@ import torch
 
 from compose.base.errors import UserError
 from compose.image.colour import srgb_from_radiance
+from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.forest_training import checkpoint_path, train
-from hybrid.preparation.held_out import held_out_quality
 from hybrid.preparation.training_views import labelled_views, motion_for, read_frames
 from hybrid.render.forest_attachments import views_of
 from pathtrace.dataset.frame_set import FrameSet

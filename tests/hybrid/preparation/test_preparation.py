@@ -13,8 +13,7 @@ from hybrid.base.progress import no_bars
 from hybrid.preparation import preparation as module
 from hybrid.preparation import stage_planner as planner
 from hybrid.preparation import stages
-from hybrid.preparation.decisions import REGION, SAMPLES
-from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS
+from hybrid.preparation.decisions import FIXED_GAUSSIANS, GAUSSIANS, REGION, SAMPLES
 from hybrid.preparation.preparation import Staged, prepare
 from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.forest_training import train
-from hybrid.preparation.held_out import held_out_quality
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.scene.scene import bundled_scenes, load_scene

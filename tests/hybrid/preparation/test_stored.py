@@ -11,10 +11,10 @@ from compose.base.errors import UserError
 from hybrid.base.cache_folder import scene_folder
 from hybrid.preparation import scene_plan as stored
 from hybrid.preparation.scene_plan import (
+    as_planned,
+    as_stored,
     plan_for,
-    planned_scene,
     require_plan,
-    scene_as_stored,
     store_plan,
 )
 from hybrid.render.forest_attachments import attach_plan, plan_of_forest, scene_as_trained
@@ -33,39 +33,39 @@ def file_of(scene):
 
 
 def test_a_scene_is_planned_once_and_loaded_as_planned(monkeypatch):
-    assert scene_as_stored("cornell").plan == {}
-    first = planned_scene("cornell")
+    assert as_stored(load_scene("cornell")).plan == {}
+    first = as_planned(load_scene("cornell"))
     assert first.max_depth == first.plan["path depth"] == -1
     assert first.roulette_depth == first.plan["roulette depth"]
     assert first.hash != first.own_hash
     monkeypatch.setattr(stored, "plan_of", None)
-    again = planned_scene("cornell")
+    again = as_planned(load_scene("cornell"))
     assert (again.hash, again.plan) == (first.hash, first.plan)
-    assert scene_as_stored("cornell").hash == first.hash
+    assert as_stored(load_scene("cornell")).hash == first.hash
 
 
 def test_a_depth_that_is_given_stays():
-    scene = planned_scene("cornell", 3)
+    scene = as_planned(load_scene("cornell", 3))
     assert scene.max_depth == scene.plan["path depth"] == 3
     assert scene.hash == load_scene("cornell", 3).hash
     assert load_scene("cornell").at_depth(3).hash == scene.hash
 
 
 def test_items_that_are_overridden_are_so_for_one_scene():
-    scene = planned_scene("cornell", override={"gaussians": 123, "path depth": 4})
+    scene = as_planned(load_scene("cornell"), override={"gaussians": 123, "path depth": 4})
     assert (scene.plan["gaussians"], scene.max_depth) == (123, 4)
-    assert scene_as_stored("cornell").plan["gaussians"] != 123
-    assert planned_scene("cornell", 3, override={"path depth": 4}).max_depth == 3
+    assert as_stored(load_scene("cornell")).plan["gaussians"] != 123
+    assert as_planned(load_scene("cornell", 3), override={"path depth": 4}).max_depth == 3
     empty = {"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}
     with pytest.raises(UserError, match="has no plan of which degree could be overridden"):
-        planned_scene(empty, override={"degree": 1})
+        as_planned(load_scene(empty), override={"degree": 1})
 
 
 def test_loading_renders_nothing(monkeypatch):
     monkeypatch.setattr(stored, "look_at_scene", lambda *arguments: pytest.fail("looked at"))
-    scene = scene_as_stored(small.corner())
+    scene = as_stored(load_scene(small.corner()))
     assert (scene.plan, scene.hash) == ({}, scene.own_hash)
-    assert scene_as_stored("cornell", 3).max_depth == 3
+    assert as_stored(load_scene("cornell", 3)).max_depth == 3
 
 
 def test_without_a_plan_a_scene_has_that_of_the_forest():
@@ -121,7 +121,7 @@ def test_a_plan_that_contradicts_the_scene_is_refused(tmp_path, got):
 @extreme("a scene that cannot be looked at", given="a sky, no shape", expected="loaded, not planned")
 def test_what_cannot_be_looked_at_is_loaded_without_a_plan(caplog, got):
     empty = {"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}
-    scene = planned_scene(empty)
+    scene = as_planned(load_scene(empty))
     assert (scene.plan, scene.max_depth) == ({}, scene.own_depth)
     (said,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert said.endswith("; using defaults")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid.preparation import stage_frames as module
-from hybrid.preparation.gaussian_count import breadth_of
+from hybrid.preparation.decisions import breadth_of
 from hybrid.preparation.stage_frames import stage_views, stated_error, wanted_of
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.growing import GrowingFrames, Wanted

@@ -12,7 +12,7 @@ import torch
 
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import newest_forest, store_forest
-from hybrid.preparation.scene_plan import planned_scene, scene_as_stored, with_plan_of
+from hybrid.preparation.scene_plan import as_planned, as_stored, with_plan_of
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window import learning, scene_watch
@@ -81,14 +81,14 @@ def test_each_stage_is_told_with_its_forest_and_the_last_one_again(tiny):
     forests = [load_forest(path) for _, path in told]
     # What follows the last stage changes no Gaussian.
     assert len({forest.digest() for forest in forests}) == 3
-    newest = newest_forest(planned_scene("cornell"))
+    newest = newest_forest(as_planned(load_scene("cornell")))
     assert newest.name.startswith("live-")
-    assert forest_to_show(planned_scene("cornell")) == (newest, True)
+    assert forest_to_show(as_planned(load_scene("cornell"))) == (newest, True)
     assert learn(None) == [told[-1]]
 
 
 def test_a_forest_that_was_prepared_is_told_instead_of_another(made):
-    scene = planned_scene("cornell")
+    scene = as_planned(load_scene("cornell"))
     store_forest(load_forest(made / "box.forest"), "mine")
     assert learn(None) == [("prepared earlier", newest_forest(scene))]
     assert forest_to_show(scene) == (newest_forest(scene), False)
@@ -132,7 +132,9 @@ class FakeWatched(Watched):
 def own_source(made):
     forest = load_forest(made / "box.forest")
     watched = FakeWatched()
-    return FrameSource(LiveRenderer(planned_scene("cornell"), forest), watched, made / "box.forest"), watched
+    return FrameSource(
+        LiveRenderer(as_planned(load_scene("cornell")), forest), watched, made / "box.forest"
+    ), watched
 
 
 def darkened(forest: Forest) -> Forest:
@@ -175,7 +177,7 @@ def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, made, tm
     after = source.show(asked(source), quick=True)
     assert source.renderer.scene.own_hash == changed.own_hash
     # As the scene before was planned; its plan is now that of this one.
-    assert source.renderer.scene.plan == scene_as_stored(file).plan != {}
+    assert source.renderer.scene.plan == as_stored(load_scene(file)).plan != {}
     np.testing.assert_allclose(source.renderer.splats(asked(source).settings), splats, atol=1e-6)
     disc = [np.mean(shown.frame.fovea.radiance) for shown in (before, after)]
     assert 0.05 < disc[1] / disc[0] < 0.2
@@ -187,7 +189,7 @@ def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, made, tm
 
 
 def test_a_scene_that_moves_is_not_planned_as_one_that_stands_still(tmp_path):
-    still, moving = planned_scene("cornell"), moving_corner(tmp_path)
+    still, moving = as_planned(load_scene("cornell")), moving_corner(tmp_path)
     assert with_plan_of(moving, still) is moving
 
 

@@ -6,11 +6,12 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.base.cache_folder import store_forest
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.window import frame_source as prepare
 from hybrid.window.frame_source import prepared
 from hybrid.window.learning import ShownScene
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -36,16 +37,16 @@ def test_a_scene_and_its_forest_become_a_source(made):
 
 def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
     done: list[str] = []
-    load = prepare.scene_as_stored
+    load = prepare.load_scene
     monkeypatch.setattr(prepare, "select_backend", done.append)
-    monkeypatch.setattr(prepare, "scene_as_stored", lambda name, **_: done.append(name) or load(name))
+    monkeypatch.setattr(prepare, "load_scene", lambda name, **_: done.append(name) or load(name))
     prepared(ShownScene("cornell", backend="llvm"), made / "box.forest", False, RAW, silent, unsaid)
     assert done == ["llvm", "cornell"]
 
 
 def test_the_newest_forest_of_the_scene_is_used(made):
     # Which stores its plan, as a preparation does.
-    planned_scene("cornell")
+    as_planned(load_scene("cornell"))
     store_forest(load_forest(made / "box.forest"), "box")
     source = prepared(ShownScene("cornell"), None, False, RAW, silent, unsaid)
     assert source.renderer.periphery.forest.digest() == load_forest(made / "box.forest").digest()
