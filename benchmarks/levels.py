@@ -23,7 +23,7 @@ from hybrid.render.forest_attachments import own_views
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
 from splat.lod.layer_images import SplatImage
-from splat.training.hierarchy_fit import fitted_hierarchy
+from splat.training.picture_fit import fitted_hierarchy
 
 _STEPS, _REPEATS = 2000, 9
 # Units of the scene that the camera moves per frame: enough to make it another one.

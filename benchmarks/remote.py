@@ -39,8 +39,8 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.messages import Server
 from hybrid.window.remote.client import Cut, Remote, View
 from hybrid.window.remote.protocol import FOREST_WANTED, SUBPROTOCOL, MaskMessage, ViewMessage, Welcome
-from splat.model.cuts import Bits
 from splat.model.hierarchy import HierarchyNodes
+from splat.model.points import Bits
 
 _RATE, _SIZE, _DISPLAY = 60.0, (960, 540), DISPLAYS["desktop"]
 _PORT = 8765

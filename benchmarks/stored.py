@@ -38,9 +38,9 @@ from splat.io.other_formats import load_gaussians, save_gaussians
 from splat.io.ply import UNBOUND_FOCAL
 from splat.model.forest import forest_of
 from splat.model.gaussians import SH_DC, Blending, Gaussians, concatenated
-from splat.model.layer import static_layer
 from splat.model.points import from_world, in_world, quaternions_xyzw, rows_of
-from splat.training.display_fit import fitted_for_display
+from splat.model.trees import static_layer
+from splat.training.picture_fit import fitted_for_display
 
 # Of the layer, by the ends of the files.
 FORMATS = "forest", "ply", "glb", "spz", "sog", "ksplat", "splat"

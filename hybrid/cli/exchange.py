@@ -53,8 +53,7 @@ def export_file(
         print(f"{output}: {images:,} images, {points:,} points")
         return
     from splat.io.forest_file import load_forest
-    from splat.io.other_formats import format_of, save_gaussians
-    from splat.io.streamed_sog import INDEX
+    from splat.io.other_formats import INDEX, format_of, save_gaussians
     from splat.model.gaussians import Blending
     from splat.model.points import in_world
 
@@ -84,7 +83,7 @@ _LEVELS, _RATIO = 4, 4
 
 def _export_streamed(forest: Forest, output: Path, seed: int, backend: str) -> None:
     """Writes a forest as Streamed SOG: its layers, or levels of detail that its hierarchy makes of one."""
-    from splat.io.streamed_sog import save_streamed
+    from splat.io.other_formats import save_streamed
     from splat.model.gaussians import Blending
     from splat.model.points import in_world
 
@@ -105,7 +104,7 @@ def _fitted(forest: Forest, layer: int, seed: int) -> tuple[Gaussians, float]:
     """Gaussians of a layer for other viewers, and how they look there, as `fitted_for_display` returns it."""
     from hybrid.base.compute_device import device_arrays
     from hybrid.render.forest_attachments import own_views
-    from splat.training.display_fit import fitted_for_display, views_around
+    from splat.training.picture_fit import fitted_for_display, views_around
 
     gaussians, focal = forest.layers[layer - 1].gaussians, forest.focal_of(layer)
     views = own_views(forest) or views_around(gaussians, focal, seed)
@@ -165,8 +164,8 @@ def import_file(
     from splat.io.ply import UNBOUND_FOCAL
     from splat.model.forest import forest_of
     from splat.model.hierarchy import hierarchy_of
-    from splat.model.layer import static_layer
     from splat.model.points import from_world, place_of_gaussians
+    from splat.model.trees import static_layer
 
     gaussians = load_gaussians(source) if gaussians is None else gaussians
     place = place_of_gaussians(gaussians)

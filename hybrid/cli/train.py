@@ -161,8 +161,7 @@ def levels(
     from hybrid.render.forest_attachments import own_views
     from splat.io.ply import UNBOUND_FOCAL
     from splat.model.hierarchy import hierarchy_of
-    from splat.training.display_fit import views_around
-    from splat.training.hierarchy_fit import fitted_hierarchy
+    from splat.training.picture_fit import fitted_hierarchy, views_around
 
     finest, focal = forest.layers[-1], forest.trained_focal
     if focal == UNBOUND_FOCAL:

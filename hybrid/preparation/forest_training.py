@@ -28,8 +28,8 @@ from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
 from splat.model.choices import MotionModel, Precision
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import check_forest
 from splat.model.motion import NodeMotion
+from splat.model.trees import check_forest
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.training_view import finest_focal
 

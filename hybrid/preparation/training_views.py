@@ -18,11 +18,9 @@ from pathtrace.dataset.posed_layouts import is_posed_folder, read_posed_folder
 from pathtrace.scene.courses import Course
 from splat.model.choices import Labels, MotionModel
 from splat.training.depth_estimates import with_guesses
-from splat.training.moving_pixels import moving_pixels, objects_of
-from splat.training.observation import Observation
-from splat.training.sky import shows_sky
+from splat.training.moving_pixels import Observation, moving_pixels, objects_of
 from splat.training.trainer import TrainingSettings
-from splat.training.training_view import TrainingView, in_half_precision
+from splat.training.training_view import TrainingView, in_half_precision, shows_sky
 
 # What frames can be trained on.
 Frames = FrameSet | PosedFolder

@@ -18,8 +18,8 @@ from compose.fovea.foveation import FoveaRegion
 from hybrid.render.frame_settings import FrameSettings
 from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer, finest_frequency
 from splat.lod.layer_images import CONTINUOUS, LayerImage, SplatImage, Under, touched_corners
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
+from splat.model.points import Bits
 from splat.raster.tiles import TILE
 
 # Side in pixels of the coarse image in which saliency is computed.

@@ -14,8 +14,8 @@ from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
+from splat.model.points import Bits
 
 
 class SplatRenderer:

@@ -3,17 +3,14 @@
 Niantic's SPZ files have similar bits. Here, coordinates have no fixed step, radiance has no largest value,
 and trees are kept. What is decoded encodes to the same codes.
 
-Sizes, opacities and colours are rounded to steps chosen by what the eye and the rasterizer see. Steps of
-equal size have an error that is known for any Gaussian; ranges that are fitted to a scene would lose it to a
-few that are extreme. Values that are rare take few bits once they are packed.
+Sizes, opacities and colours are rounded to steps of equal size, chosen by what the eye and the rasterizer
+see: their error is known for any Gaussian. Values that are rare take few bits once they are packed.
 
-Quaternions take 33 bits: three components over the largest one, in steps of 1/511. Unlike with the three
-smallest of a unit quaternion, what is decoded encodes to the same codes, also where two components are
-equally large. Signs are kept: a learned field of deformations adds to quaternions.
+Quaternions take 33 bits: three components over the largest one, in steps of 1/511, with their signs, since a
+learned field of deformations adds to quaternions.
 
-Positions take 16 bits per axis, between the corners of boxes around few nodes. Nodes of a layer lie along a
-space-filling curve, so that boxes around those that follow each other are small. They are made smaller until
-their steps are finer than what they hold; the box of a single node is a point.
+Positions take 16 bits per axis, between the corners of boxes around few nodes, which follow each other along
+a space-filling curve. Boxes are halved until their steps are finer than what they hold.
 """
 
 from __future__ import annotations
@@ -28,8 +25,8 @@ from scipy.special import expit
 
 from splat.model.forest import Forest
 from splat.model.gaussians import SH_DC, Directional, Gaussians, apart
-from splat.model.layer import Layer
 from splat.model.points import Floats, Ints
+from splat.model.trees import Layer
 
 # Whole numbers of the type that a file has.
 Codes = NDArray[Any]
@@ -38,9 +35,8 @@ Codes = NDArray[Any]
 _PER_LOG, _MOST_LOG = 32, 128.0
 # Below 1/255 nothing is drawn, above 0.99 nothing is told apart: eight bits are what opacity has.
 _OPACITIES = 256
-# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display. So are,
-# together, harmonics up to the second degree: the mean square of each over directions is 1 / (4 pi) of its
-# coefficient's.
+# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display, and so
+# are harmonics up to the second degree together.
 _PER_COLOUR = 256
 # Larger colours and harmonics end there; both are inside of float32.
 _LARGEST = 8e37
@@ -125,8 +121,7 @@ def codes_of_rotations(quaternions: Floats) -> tuple[Codes, Codes]:
 def rotations_of_codes(largest: Codes, others: Codes) -> Floats:
     """Quaternions (4, N), turned by at most 0.2 degrees, whose largest component is 1 or -1.
 
-    Raises:
-        ValueError: there is no such component, or another one is larger.
+    ValueError if there is no such component, or another one is larger.
     """
     if len(largest) and (largest.max() >= 8 or np.abs(others.astype(np.int32)).max() > _TURN_STEPS):
         raise ValueError("rotations with codes that do not exist")
@@ -145,8 +140,7 @@ def _others(index: Ints) -> Ints:
 
 _BOX_STEPS = 2**16 - 1
 _LARGEST_BOX = 256
-# A node's position is right to this share of its shortest axis. Of one as flat as a sheet, a share of its
-# longest axis: then, what fills a hundred pixels moves by a tenth of one.
+# A node's position is right to this share of its shortest axis, or of its longest one if it is a sheet.
 _OF_SHORTEST, _OF_LONGEST = 1 / 16, 1 / 1024
 
 
@@ -171,9 +165,20 @@ def boxed(means: Floats, tolerated: Floats, layers: tuple[int, ...]) -> Boxes:
 
     `tolerated` (N,) is the furthest that each may be moved, apart from float32's own rounding.
     """
-    first = _firsts(means, tolerated, layers)
-    counts = np.diff(np.r_[first, means.shape[1]])
-    low, high = _corners(means, first)
+    ends = np.cumsum(layers)
+    starts = [np.arange(end - n, end, _LARGEST_BOX) for end, n in zip(ends, layers, strict=True)]
+    # (B,) the first node of each box: halves of halves until all are small enough.
+    first = np.concatenate(starts).astype(np.int64)
+    while True:
+        counts = np.diff(np.r_[first, means.shape[1]])
+        low, high = _corners(means, first)
+        error = np.linalg.norm((high - low) / (2 * _BOX_STEPS), axis=0)
+        coarse = counts > 1
+        if len(first):
+            coarse &= error > np.minimum.reduceat(tolerated, first)
+        if not coarse.any():
+            break
+        first = np.sort(np.r_[first, (first + counts // 2)[coarse]])
     wide, from_low = (np.repeat(part, counts, axis=1) for part in (high - low, low))
     share = (means - from_low) / np.where(wide > 0, wide, 1)
     codes = np.rint(share * _BOX_STEPS).astype(np.uint16).view(np.int16)
@@ -183,8 +188,7 @@ def boxed(means: Floats, tolerated: Floats, layers: tuple[int, ...]) -> Boxes:
 def unboxed(boxes: Boxes) -> Floats:
     """Positions (3, N), within the tolerance of what was encoded, corners exactly.
 
-    Raises:
-        ValueError: the boxes do not hold as many nodes as there are codes.
+    ValueError if the boxes do not hold as many nodes as there are codes.
     """
     counts = boxes.counts.astype(np.int64)
     if (counts < 1).any() or counts.sum() != boxes.codes.shape[1]:
@@ -192,22 +196,6 @@ def unboxed(boxes: Boxes) -> Floats:
     low, high = (np.repeat(part.astype(np.float64), counts, axis=1) for part in (boxes.low, boxes.high))
     share = boxes.codes.view(np.uint16) / _BOX_STEPS
     return low * (1 - share) + high * share
-
-
-def _firsts(means: Floats, tolerated: Floats, layers: tuple[int, ...]) -> Ints:
-    """(B,) index of the first node of each box: halves of halves until all are small enough."""
-    ends = np.cumsum(layers)
-    starts = [np.arange(end - n, end, _LARGEST_BOX) for end, n in zip(ends, layers, strict=True)]
-    first = np.concatenate(starts).astype(np.int64)
-    while len(first):
-        counts = np.diff(np.r_[first, means.shape[1]])
-        low, high = _corners(means, first)
-        error = np.linalg.norm((high - low) / (2 * _BOX_STEPS), axis=0)
-        coarse = (error > np.minimum.reduceat(tolerated, first)) & (counts > 1)
-        if not coarse.any():
-            break
-        first = np.sort(np.r_[first, (first + counts // 2)[coarse]])
-    return first
 
 
 def _corners(means: Floats, first: Ints) -> tuple[Floats, Floats]:
@@ -223,8 +211,7 @@ _BOXES = "boxes."
 def compact(forest: Forest) -> Forest:
     """The forest with numbers that a compact file holds exactly; of such a forest, the same numbers.
 
-    Raises:
-        ValueError: a number is not finite.
+    ValueError if a number is not finite.
     """
     gaussians = decoded(encoded(forest.nodes, forest.counts)).gaussians
     gaussians = replace(gaussians, blending=forest.nodes.gaussians.blending)
@@ -244,8 +231,7 @@ def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
 def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
     """Tensors by name that `decoded` takes, of the nodes of all layers and their counts per layer.
 
-    Raises:
-        ValueError: a number is not finite.
+    ValueError if a number is not finite.
     """
     gaussians = apart(nodes.gaussians)
     if not gaussians.is_finite():
@@ -280,9 +266,8 @@ def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
 def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
     """The nodes that were encoded, within the errors that each encoding states.
 
-    Raises:
-        KeyError: a tensor is missing.
-        ValueError: one has the wrong type or shape, or codes that do not exist.
+    KeyError if a tensor is missing; ValueError if one has the wrong type or shape, or codes that do not
+    exist.
     """
     codes: dict[str, Codes] = {}
     for name, (dtype, axes) in _KINDS.items():

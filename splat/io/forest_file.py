@@ -32,9 +32,8 @@ from splat.model.dynamic_light import LightCourse
 from splat.model.forest import Forest
 from splat.model.gaussians import TENSORS, Blending, Directional, Gaussians
 from splat.model.hierarchy import Hierarchy
-from splat.model.layer import LABELS, Layer, check_forest
-from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics, NodeMotion
+from splat.model.motion import Dynamics, LearnedMotion, NodeMotion
+from splat.model.trees import LABELS, Layer, check_forest
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
 _HIERARCHY, _CHILDREN = "hierarchy.", "children"
@@ -72,7 +71,9 @@ def save_forest(path: str | Path, forest: Forest) -> None:
             groups[prefix] = part.tensors()
     tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
     if forest.hierarchy is not None:
-        tensors |= _of_hierarchy(forest.hierarchy)
+        inner = {} if forest.hierarchy.inner is None else _of_gaussians(forest.hierarchy.inner)
+        named = {_CHILDREN: forest.hierarchy.children} | inner
+        tensors |= {_HIERARCHY + name: tensor.detach().cpu() for name, tensor in named.items()}
     codes = exactly_encoded(forest)
     if codes is not None:
         tensors, kinds = packed({**codes, **tensors})
@@ -88,18 +89,10 @@ def save_forest(path: str | Path, forest: Forest) -> None:
 
 
 def _of_gaussians(gaussians: Gaussians) -> dict[str, torch.Tensor]:
-    """Tensors of Gaussians by name, as float32."""
     own, further = dict(gaussians.tensors()), gaussians.directional
     if further is not None:
         own |= {_DIRECTIONAL + "index": further.index, _DIRECTIONAL + "sh": further.sh}
     return own
-
-
-def _of_hierarchy(hierarchy: Hierarchy) -> dict[str, torch.Tensor]:
-    """Tensors of a hierarchy by name."""
-    inner = {} if hierarchy.inner is None else _of_gaussians(hierarchy.inner)
-    named = {_CHILDREN: hierarchy.children} | inner
-    return {_HIERARCHY + name: tensor.detach().cpu() for name, tensor in named.items()}
 
 
 def load_forest(path: str | Path) -> Forest:
@@ -115,12 +108,15 @@ def load_forest(path: str | Path) -> Forest:
     try:
         is_packed = _PACKED in metadata
         tensors = unpacked(tensors, metadata[_PACKED]) if is_packed else tensors
-        nodes = _blended(decoded(tensors) if is_packed else _exact(tensors), metadata)
+        nodes = decoded(tensors) if is_packed else _exact(tensors)
+        # Linear in files that name none.
+        blending = Blending(metadata.get(_BLENDING, Blending.LINEAR))
+        nodes = replace(nodes, gaussians=replace(nodes.gaussians, blending=blending))
         counts, focal = _counts(metadata["layers"]), float(metadata["trained_focal"])
         scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])
         attached, place = under(_ATTACHED, tensors), _place(metadata)
         motion, light = _motion(tensors), _light(tensors)
-        hierarchy = _hierarchy(tensors, counts[-1], nodes.gaussians.blending) if counts else None
+        hierarchy = _hierarchy(tensors, counts[-1], blending) if counts else None
         forest = Forest(nodes, counts, focal, *scene, attached, place, motion, light, hierarchy)
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
@@ -131,7 +127,6 @@ def load_forest(path: str | Path) -> Forest:
 
 
 def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
-    """The motion of the instances, known or learned; None in a file that has none."""
     found = under(_MOTION, tensors)
     if not found:
         return None
@@ -154,7 +149,6 @@ def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
 
 
 def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
-    """How the light of some nodes changes; None in a file that does not say so."""
     found = under(_LIGHT, tensors)
     if not found:
         return None
@@ -185,14 +179,7 @@ def _hierarchy(tensors: dict[str, torch.Tensor], leaves: int, blending: Blending
     return hierarchy
 
 
-def _blended(nodes: Layer, metadata: dict[str, Any]) -> Layer:
-    """The nodes with the blending that a file names; linear in files that name none."""
-    blending = Blending(metadata.get(_BLENDING, Blending.LINEAR))
-    return replace(nodes, gaussians=replace(nodes.gaussians, blending=blending))
-
-
 def _place(metadata: dict[str, Any]) -> Place:
-    """The coordinates of the nodes; those of the world in files that name none."""
     if "unit" not in metadata:
         return WORLD
     x, y, z = (float(value) for value in metadata["origin"])
@@ -202,8 +189,7 @@ def _place(metadata: dict[str, Any]) -> Place:
 def scene_of_forest(path: Path) -> tuple[str, str]:
     """Name and hash of the scene that a forest file says it is of; reads the header alone.
 
-    Raises:
-        UserError: it is no forest file, or its header is damaged.
+    UserError if it is no forest file, or its header is damaged.
     """
     _, metadata = load_tensors(path, with_tensors=False)
     _require_forest(path, metadata)
@@ -219,13 +205,11 @@ def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
 
 
 def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
-    """The nodes of a file of float32 numbers."""
     _require_types(tensors, LABELS)
     return Layer(_gaussians(tensors), *(tensors[name] for name in LABELS))
 
 
 def _gaussians(tensors: dict[str, torch.Tensor]) -> Gaussians:
-    """Gaussians of float32 numbers."""
     _require_types(tensors, TENSORS)
     found, further = under(_DIRECTIONAL, tensors), None
     if found:
@@ -243,7 +227,7 @@ def _require_types(tensors: dict[str, torch.Tensor], names: Iterable[str]) -> No
             raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
 
 
-def _counts(layers: Any) -> tuple[int, ...]:
+def _counts(layers: object) -> tuple[int, ...]:
     """Nodes of each layer; a ValueError if these are no numbers of nodes."""
     if not isinstance(layers, list) or len(layers) > _MOST_LAYERS:
         raise ValueError(f"layers must be a list of at most {_MOST_LAYERS} numbers")

@@ -22,13 +22,8 @@ from scipy.spatial.transform import Rotation
 from compose.base.errors import UserError
 from compose.base.files import write_whole
 from compose.camera.camera import sphere_directions
-from splat.model.gaussians import (
-    Blending,
-    Gaussians,
-    perceptual_from_radiance,
-    radiance_from_perceptual,
-)
-from splat.model.points import quaternions_xyzw, rows_of
+from splat.model.gaussians import Blending, Gaussians, perceptual_from_radiance, radiance_from_perceptual
+from splat.model.points import Floats, quaternions_xyzw, rows_of
 from splat.raster.projection import sh_basis
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -43,7 +38,6 @@ _LEAST_SCALE = 1e-20
 _SHEAR, _EQUAL = 1e-3, 1e-6
 # Directions to which harmonics are fitted, and Gaussians at once.
 _DIRECTIONS, _AT_ONCE = 256, 1 << 14
-Floats = NDArray[np.float64]
 
 
 def gaussians_from(
@@ -75,7 +69,10 @@ def gaussians_from(
     if is_linear:
         harmonics = refitted(harmonics, perceptual_from_radiance)
     if turns:
-        harmonics = torch.einsum("jk,kcn->jcn", _turning(turn, len(harmonics)), harmonics)
+        # What is seen along a direction was seen along that direction turned back; no degree mixes.
+        directions, count = sphere_directions(_DIRECTIONS), len(harmonics)
+        turning = torch.linalg.pinv(_basis(directions, count)) @ _basis(directions @ turn, count)
+        harmonics = torch.einsum("jk,kcn->jcn", turning, harmonics)
     with np.errstate(divide="ignore"):
         logits = np.clip(np.log(opacities) - np.log1p(-opacities), -_OPAQUE, _OPAQUE)
     columns = lambda rows: torch.from_numpy(np.ascontiguousarray(rows.T)).float()  # noqa: E731
@@ -151,13 +148,6 @@ def _basis(directions: Floats, count: int) -> torch.Tensor:
     """(D, K) harmonics along directions (D, 3)."""
     columns = [np.broadcast_to(column, len(directions)) for column in sh_basis(count, list(directions.T))]
     return torch.from_numpy(np.stack(columns, axis=1))
-
-
-def _turning(turn: Floats, count: int) -> torch.Tensor:
-    """(K, K) by which harmonics of what is turned by (3, 3) follow from those before: no degree mixes."""
-    # What is seen along a direction was seen along that direction turned back.
-    directions = sphere_directions(_DIRECTIONS)
-    return torch.linalg.pinv(_basis(directions, count)) @ _basis(directions @ turn, count)
 
 
 def refitted(sh: torch.Tensor, curve: Callable[[torch.Tensor], torch.Tensor]) -> torch.Tensor:

@@ -16,8 +16,7 @@ from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below, write_whole
 from splat.model.gaussians import MAX_DEGREE, Blending, Gaussians, sh_count
 
-# The frames that imported Gaussians were trained on are unknown. With this focal length they get no wider
-# filter than the pixel's.
+# Focal length of unknown frames: imported Gaussians get no wider filter than the pixel's.
 UNBOUND_FOCAL = 1e9
 # Their 48 coefficients are addressed by 32 bits, with a sign.
 _MOST_GAUSSIANS = 2**31 // 48
@@ -34,7 +33,6 @@ _LOG = logging.getLogger("hybrid")
 
 
 def _ply_properties(degree: int) -> list[str]:
-    """Names of a Gaussian's properties, in the order of the file."""
     rest = 3 * (sh_count(degree) - 1)
     return [
         *("x", "y", "z", "nx", "ny", "nz"),
@@ -101,7 +99,11 @@ def load_ply(path: str | Path) -> Gaussians:
     with np.errstate(over="ignore"):
         columns = {name: vertices[name].astype(np.float32) for name in wanted}
     columns["opacity"] = np.nan_to_num(columns["opacity"], nan=np.nan, posinf=_OPAQUE, neginf=-_OPAQUE)
-    _check_finite(path, columns)
+    wrong = {name: np.flatnonzero(~np.isfinite(values)) for name, values in columns.items()}
+    if first := min(((rows[0], name) for name, rows in wrong.items() if len(rows)), default=None):
+        row, name = first
+        value = columns[name][row]
+        raise UserError(f"{path}: Gaussian {row + 1}: {name} is {value}; must be a finite number")
     take = lambda *of: torch.from_numpy(np.stack([columns[name] for name in of]))  # noqa: E731
     constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
     directional = [take(*(f"f_rest_{c * rest // 3 + k}" for c in range(3))) for k in range(rest // 3)]
@@ -134,13 +136,3 @@ def _read(path: Path) -> tuple[NDArray[Any], list[str], Blending]:
         return found["vertex"].data, others, blending
     except (OSError, ValueError, OverflowError, MemoryError, PlyParseError) as error:
         raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
-
-
-def _check_finite(path: Path, columns: dict[str, NDArray[np.float32]]) -> None:
-    """Names the first Gaussian and property that is not a finite number, if there is one."""
-    wrong = {name: np.flatnonzero(~np.isfinite(values)) for name, values in columns.items()}
-    first = min(((rows[0], name) for name, rows in wrong.items() if len(rows)), default=None)
-    if first is not None:
-        row, name = first
-        value = columns[name][row]
-        raise UserError(f"{path}: Gaussian {row + 1}: {name} is {value}; must be a finite number")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -17,6 +17,9 @@ from splat.lod.layer_images import AtlasEntry, SplatImage
 from splat.raster.blocks import CHANNELS, PIXEL
 from splat.raster.records import RecordLayout, Records, records_before
 from splat.raster.tiles import TILE, TileGrid
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # A lane composites 4 x 4 pixels. At rates above 0 they lie between 4 x 4 samples at most.
 _BLOCK = 4
@@ -35,19 +38,19 @@ class Mixture:
     """Which entries of an atlas the cells of a frame show, and with which weights, as kernels read it.
 
     What changes with the gaze is one array: the entries, per cell a bit for each entry that covers it, and
-    the entries' weights at the corners of cells. The other numbers are UInts of width 1.
+    the entries' weights at the corners of cells. The other numbers are of width 1.
     """
 
     cells: int  # how many there are, and words per cell
     words: int
     records: Records  # of the entries, and the rest behind them
-    bits: Any  # where the words of bits begin, and the weights
-    weights: Any
-    columns: Any  # of cells
-    cell_count: Any
-    corner_count: Any
-    stride: Any  # pixels per row of the atlas, and of the frame
-    width: Any
+    bits: UInt  # where the words of bits begin, and the weights
+    weights: UInt
+    columns: UInt  # of cells
+    cell_count: UInt
+    corner_count: UInt
+    stride: UInt  # pixels per row of the atlas, and of the frame
+    width: UInt
 
     @staticmethod
     def of(arrays: Arrays, entries: Sequence[AtlasEntry], stride: int, camera: Camera) -> Mixture:
@@ -71,12 +74,8 @@ class Mixture:
         records = records_before(arrays, _ENTRY, rows, np.stack(words).astype(np.uint32), weights)
         return Mixture(cells, len(words), records, *map(arrays.constant, (*parts, *sizes)))
 
-    def number(self, index: Any) -> Any:
-        """The UInt at an index of the array."""
-        return dr.reinterpret_array(self.records.arrays.plain.UInt, self.weight(index))
-
-    def weight(self, index: Any) -> Any:
-        """The Float at an index of the array."""
+    def weight(self, index: UInt) -> Float:
+        """The number at an index of the array."""
         return dr.gather(self.records.arrays.plain.Float, self.records.tables[0], index)
 
 
@@ -90,37 +89,41 @@ def composite(arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, 
     return SplatImage(arrays, radiance, camera.width, camera.height, padded, nodes=atlas.nodes)
 
 
-def composited(arrays: Arrays, mixture: Mixture, atlas: Any, frame: Any = None) -> Any:
+def composited(arrays: Arrays, mixture: Mixture, atlas: Float, frame: Float | None = None) -> Float:
     """The pixels of a frame of whole tiles, three floats each, from those of an atlas, four floats each.
 
-    In a `frame` of four floats each, which is changed, cells that no entry covers stay as they are.
+    If a `frame` of four floats each is given, it is changed but for cells that no entry covers.
     """
-    Float, UInt = arrays.plain.Float, arrays.plain.UInt
-    lane = dr.arange(UInt, mixture.cells * _PER_CELL)
+    plain = arrays.plain
+    lane = dr.arange(plain.UInt, mixture.cells * _PER_CELL)
     cell = lane // _PER_CELL
     block = _Block(mixture, lane % _PER_CELL, cell)
-    words = [mixture.number(mixture.bits + mixture.cell_count * k + cell) for k in range(mixture.words)]
-    shown = UInt(0)
+    words = []
+    for k in range(mixture.words):
+        bits = mixture.weight(mixture.bits + mixture.cell_count * k + cell)
+        words.append(plain.UInt(dr.reinterpret_array(plain.UInt, bits)))
+    shown = plain.UInt(0)
     for word in words:
         shown += dr.popcnt(word)
     samples = Records(arrays, PIXEL, [atlas])
     # Built one by one: [Float(0)] * n would be a single accumulator n times.
-    total = [Float(0) for _ in range(3 * _BLOCK**2)]
+    total = [plain.Float(0) for _ in range(3 * _BLOCK**2)]
+    is_left = lambda word, total: word != 0  # noqa: E731
     for k, word in enumerate(words):
 
-        def step(word: Any, total: list[Any], first: int = k * _WORD) -> tuple[Any, list[Any]]:
+        def step(word: UInt, total: list[Float], first: int = k * _WORD) -> tuple[UInt, list[Float]]:
             number = dr.tzcnt(word) + first
             weights = [dr.select(shown > 1, weight, 1) for weight in block.weights(number)]
             pixels = block.interpolated(mixture.records.at(number), samples)
             added = [dr.fma(v, weights[i // 3], total[i]) for i, v in enumerate(pixels)]
             return word & (word - 1), added
 
-        _, total = dr.while_loop((word, total), lambda word, total: word != 0, step, mode="symbolic")
+        _, total = dr.while_loop((word, total), is_left, step, mode="symbolic")
     channels, known = (3, True) if frame is None else (CHANNELS, shown > 0)
     if frame is None:
-        frame = dr.empty(Float, mixture.cells * TILE**2 * channels)
+        frame = dr.empty(plain.Float, mixture.cells * TILE**2 * channels)
     else:
-        total = [v for p in range(_BLOCK**2) for v in (*total[3 * p : 3 * p + 3], Float(1))]
+        total = [v for p in range(_BLOCK**2) for v in (*total[3 * p : 3 * p + 3], plain.Float(1))]
     for chunk in range(len(total) // 4):
         pixel = (block.y + chunk // channels) * mixture.width + block.x
         target = pixel * channels // 4 + chunk % channels
@@ -135,19 +138,18 @@ _composited = Frozen(composited, by_size=True)
 class _Block:
     """The lanes: one per block of pixels, those of a cell side by side; x, y is its first pixel."""
 
-    def __init__(self, mixture: Mixture, number: Any, cell: Any):
+    def __init__(self, mixture: Mixture, number: UInt, cell: UInt):
         across = TILE // _BLOCK
         self._mixture, self._row = mixture, cell // mixture.columns
         self._column = cell - self._row * mixture.columns
         self._inner = number % across * _BLOCK, number // across * _BLOCK
         self.x, self.y = self._column * TILE + self._inner[0], self._row * TILE + self._inner[1]
 
-    def weights(self, entry: Any) -> list[Any]:
+    def weights(self, entry: UInt) -> list[Float]:
         """Weight of an entry in each pixel, from those at the corners of the cell."""
         mixture, Float = self._mixture, self._mixture.records.arrays.plain.Float
-        above = (
-            mixture.weights + entry * mixture.corner_count + self._row * (mixture.columns + 1) + self._column
-        )
+        first = mixture.weights + entry * mixture.corner_count
+        above = first + self._row * (mixture.columns + 1) + self._column
         below = above + mixture.columns + 1
         corners = [mixture.weight(index) for index in (above, above + 1, below, below + 1)]
         left, top = (Float(inner) * (1 / TILE) for inner in self._inner)
@@ -158,7 +160,7 @@ class _Block:
             weights += [dr.lerp(start, end, left + (column + 0.5) / TILE) for column in range(_BLOCK)]
         return weights
 
-    def interpolated(self, entry: SimpleNamespace, samples: Records) -> list[Any]:
+    def interpolated(self, entry: SimpleNamespace, samples: Records) -> list[Float]:
         """Red, green, blue of each pixel of the block, linear between the samples of an entry.
 
         Beyond its outermost samples, pixels show those.
@@ -176,7 +178,7 @@ class _Block:
         columns, rows = (
             [UInt(dr.clip(b + i, 0, end)) for i in range(_BLOCK)] for b, end in zip(bases, last, strict=True)
         )
-        down: list[list[Any]] = [[Float(0) for _ in range(3 * _BLOCK)] for _ in range(_BLOCK)]
+        down = [[Float(0) for _ in range(3 * _BLOCK)] for _ in range(_BLOCK)]
         for j, row in enumerate(rows):
             across = [Float(0) for _ in range(3 * _BLOCK)]
             for i, column in enumerate(columns):

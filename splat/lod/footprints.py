@@ -6,10 +6,10 @@ Only layers that are drawn are brought to a time (Fov-GS, section 3.4: selection
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property
 from itertools import accumulate, pairwise, starmap
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -19,12 +19,13 @@ from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
 from compose.camera.camera import Camera
 from splat.lod.layer_images import CONTINUOUS, Lattice
-from splat.model.cuts import Bits
 from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
-from splat.model.gaussians import Directional, Gaussians, as_rows
+from splat.model.gaussians import Gaussians, as_rows
+from splat.model.points import Bits
 from splat.raster.binning import depth_order
 from splat.raster.cut import HierarchyCut, Turned, turned_footprints
+from splat.raster.differentiable import detached
 from splat.raster.projection import (
     PIXEL_FILTER,
     CameraNumbers,
@@ -36,6 +37,12 @@ from splat.raster.projection import (
     may_show,
 )
 from splat.raster.records import RecordLayout, Records, concatenated_records
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
+
+    # Records of footprints, indices of some from near to far, and how many of those matter.
+    Ordered = tuple[Records, UInt, int]
 
 
 class LayerChanges:
@@ -101,14 +108,6 @@ _FOOTPRINT = RecordLayout((8, 4), (), **{field.name: 1 for field in fields(Footp
 _NODE_LOAD = 8
 
 
-@dataclass(frozen=True)
-class _CutNodes:
-    """The nodes of a hierarchy on the device."""
-
-    selection: HierarchyCut
-    table: _NodeTable
-
-
 class ForestFootprints:
     """Footprints of a forest's layers, cached for the latest camera."""
 
@@ -116,16 +115,14 @@ class ForestFootprints:
         self.arrays, self._place = arrays, forest.place
         self._blending = forest.nodes.gaussians.blending
         self._nodes, self._time = _NodeTable(arrays, forest.nodes.gaussians), 0.0
-        ends = np.cumsum(forest.counts).tolist()
-        ranges = [(end - count, end) for end, count in zip(ends, forest.counts, strict=True)]
-        self._changes = [LayerChanges(forest, first, end) for first, end in ranges]
+        self._changes = [LayerChanges(forest, *ends) for ends in forest.ranges]
         self._bounds = [
-            _LayerBounds(arrays, forest.nodes.gaussians, first, end, changes.moves)
-            for (first, end), changes in zip(ranges, self._changes, strict=True)
+            _LayerBounds(arrays, forest.nodes.gaussians, *ends, changes.moves)
+            for ends, changes in zip(forest.ranges, self._changes, strict=True)
         ]
         self._forest, self._levels = forest, b""
         self._key: tuple[bytes, float] | None = None
-        self._layers: dict[int, tuple[Records, Any, int] | None] = {}
+        self._layers: dict[int, Ordered | None] = {}
         # The records of all cached layers, as they were asked for last, and where each layer lies among them.
         self.records: Records | None = None
         self._ranges: dict[int, range] = {}
@@ -134,17 +131,6 @@ class ForestFootprints:
         """Shows the nodes as they are at a time from 0 to 1."""
         if time != self._time:
             self._time, self._key = time, None
-
-    def _change(self, layer: int, camera: Camera) -> None:
-        """Brings a layer to the time that is shown, in the light that a camera in its coordinates sees."""
-        changes = self._changes[layer - 1]
-        moved = changes.moved(self._time)
-        if moved is not None:
-            self._nodes.move(*moved)
-            self._bounds[layer - 1].move(*moved)
-        lit = changes.lit(self._time, camera)
-        if lit is not None:
-            self._nodes.light(*lit)
 
     def layers(
         self, camera: Camera, blur: float, layers: Sequence[int], levels: Lattice | None = None
@@ -170,7 +156,6 @@ class ForestFootprints:
                 if n == CONTINUOUS and levels is not None:
                     self._layers[n] = self._in_cut(own, levels, self._key[1])
                 else:
-                    self._change(n, own)
                     self._layers[n] = self._visible(own, n, self._key[1])
             parts = [part for part in self._layers.values() if part is not None]
             self.records = concatenated_records(parts) if parts else None
@@ -180,52 +165,49 @@ class ForestFootprints:
         return [self._ranges[n] for n in layers]
 
     @cached_property
-    def cut(self) -> _CutNodes:
+    def _cut(self) -> tuple[HierarchyCut, _NodeTable]:
         """The nodes of the forest's hierarchy."""
         nodes = self._forest.hierarchy_nodes
-        return _CutNodes(HierarchyCut(self.arrays, nodes), _NodeTable(self.arrays, nodes.gaussians))
+        return HierarchyCut(self.arrays, nodes), _NodeTable(self.arrays, nodes.gaussians)
 
     def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
         """What levels are to be multiplied by, 1 or more, for at most so many nodes to be drawn."""
-        return self.cut.selection.least_factor(self._place.camera(camera), levels, most)
+        return self._cut[0].least_factor(self._place.camera(camera), levels, most)
 
     def hold_cut(self, drawn: Bits) -> None:
         """Draws no other nodes of the hierarchy than these (N + M,), whatever levels ask for."""
-        self.cut.selection.hold(drawn)
+        self._cut[0].hold(drawn)
         self._layers.pop(CONTINUOUS, None)
 
-    def _visible(self, camera: Camera, layer: int, blur: float) -> tuple[Records, Any, int] | None:
-        """The nodes of a layer that reach into the frame of a camera in their own coordinates.
-
-        Records, indices from near to far, and how many of those matter.
-        """
-        bounds = self._bounds[layer - 1]
+    def _visible(self, camera: Camera, layer: int, blur: float) -> Ordered | None:
+        """The nodes of a layer, at the time that is shown, in the light that a camera sees."""
+        changes = self._changes[layer - 1]
+        if (moved := changes.moved(self._time)) is not None:
+            self._nodes.move(*moved)
+            self._bounds[layer - 1].move(*moved)
+        if (lit := changes.lit(self._time, camera)) is not None:
+            self._nodes.light(*lit)
+        bounds, view = self._bounds[layer - 1], camera_numbers(self.arrays, camera, self._blending)
         if not dr.width(bounds.size):
             return None
-        low_pass = PIXEL_FILTER * blur**2
-        shown = may_show(self.arrays, bounds.means, bounds.size, camera, low_pass, self._blending)
-        index = dr.compress(shown)
+        shown = may_show(bounds.means, bounds.size, view, PIXEL_FILTER * blur**2)
+        index = self.arrays.plain.UInt(dr.compress(shown))
+        return self._ordered(self._nodes, index + bounds.first if dr.width(index) else index, None, camera)
+
+    def _in_cut(self, camera: Camera, levels: Lattice, blur: float) -> Ordered | None:
+        selection, table = self._cut
+        index, turned = selection.nodes(camera, levels, blur)
+        return self._ordered(table, index, turned, camera)
+
+    def _ordered(
+        self, table: _NodeTable, index: UInt, turned: Turned | None, camera: Camera
+    ) -> Ordered | None:
         count = dr.width(index)
         if not count:
             return None
-        return self._ordered(*self._nodes.footprints(index + bounds.first, camera), count)
-
-    def _in_cut(self, camera: Camera, levels: Lattice, blur: float) -> tuple[Records, Any, int] | None:
-        """What `_visible` returns, of the nodes of the hierarchy that levels ask for."""
-        index, turned = self.cut.selection.nodes(camera, levels, blur)
-        count = dr.width(index)
-        if not count:
-            return None
-        return self._ordered(*self.cut.table.footprints(index, camera, turned), count)
-
-    def _ordered(self, records: Records, depth: Any, count: int) -> tuple[Records, Any, int]:
+        records, depth = table.footprints(index, camera, turned)
         known = dr.arange(self.arrays.plain.UInt, dr.width(depth)) < self.arrays.constant(count)
         return records, depth_order(self.arrays, depth, known), count
-
-
-def _row(arrays: Arrays, values: torch.Tensor) -> Any:
-    """A tensor (N,) as a Dr.Jit float without gradient."""
-    return dr.detach(arrays.from_torch(values.contiguous()), preserve_type=False)
 
 
 class _LayerBounds:
@@ -236,29 +218,29 @@ class _LayerBounds:
         self.first = arrays.constant(first)
         # Three rows (N,), shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
-        self.means = [_row(arrays, row) for row in means[:, first:end]]
-        self.size = _row(arrays, gaussians.part(first, end).longest)
+        self.means = [detached(arrays, row) for row in means[:, first:end]]
+        self.size = detached(arrays, gaussians.part(first, end).longest)
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves some nodes of the layer, by their indices (M,) in the forest, to where Gaussians (M) are."""
         index = self._arrays.plain.UInt((nodes - self._first).numpy())
         moved = [*gaussians.means, gaussians.longest]
         for row, values in zip([*self.means, self.size], moved, strict=True):
-            dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
+            dr.scatter(row, detached(self._arrays, values), index, mode=dr.ReduceMode.Permute)
 
 
 class _NodeTable:
     """All parameters of a node side by side, since nodes are gathered from all over the forest."""
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians):
-        self._arrays, self._coefficients = arrays, gaussians.sh.shape[0]
-        self._blending = gaussians.blending
+        self._arrays, self._blending = arrays, gaussians.blending
         # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
         self._records = _uploaded(arrays, **dict(gaussians.tensors()))
-        further = gaussians.directional
-        self._directional = None
+        # Harmonics above the constant one, of the nodes that have them.
+        self._directional, further = None, gaussians.directional
         if further is not None and further.sh.numel():
-            self._directional = _DirectionalTable(arrays, further, len(gaussians))
+            self._directional, self._slot_of = _uploaded(arrays, sh=further.sh), further.slots(len(gaussians))
+            self._slots = arrays.plain.Int(self._slot_of.int().numpy())
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest place, orientation and size of Gaussians (M)."""
@@ -268,39 +250,57 @@ class _NodeTable:
     def light(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest the spherical harmonics of Gaussians (M)."""
         _write(self._records, nodes, sh=gaussians.sh)
-        if self._directional is not None and gaussians.directional is not None:
-            self._directional.light(nodes, gaussians.directional)
+        further = gaussians.directional
+        if self._directional is not None and further is not None and len(further):
+            _write(self._directional, self._slot_of[nodes[further.index]], sh=further.sh)
 
-    def footprints(self, index: Any, camera: Camera, turned: Turned | None = None) -> tuple[Records, Any]:
+    def footprints(self, index: UInt, camera: Camera, turned: Turned | None) -> tuple[Records, Float]:
         """Footprints and depths of the nodes at an index (M,); behind them any, up to a capacity.
 
         Nodes may have turned into others.
         """
-        arrays, count = self._arrays, dr.width(index)
-        shown = [self._shown(index, camera)]
-        if turned is not None:
-            shown.append(self._shown(turned.parent, camera))
-        dr.eval(shown, turned)
-        view = camera_numbers(arrays, camera, self._blending), self._coefficients, capacity(count)
+        arrays, count, shown = self._arrays, dr.width(index), []
+        for own in (index,) if turned is None else (index, turned.parent):
+            shown.append((own, self._added(own, camera)))
+        # Dr.Jit walks through dataclasses by their annotations, which do not exist at run time.
+        dr.eval(shown, [] if turned is None else [turned.share, turned.heir])
+        view = camera_numbers(arrays, camera, self._blending), capacity(count)
         return _footprints(arrays, self._records, shown, turned, arrays.constant(count), *view)
 
-    def _shown(self, index: Any, camera: Camera) -> tuple[Any, list[Any] | None]:
-        """An index (M,), and what the nodes there show to a camera beside constant harmonics, as such."""
+    def _added(self, index: UInt, camera: Camera) -> list[Float] | None:
+        """Three channels (M,), of nodes at an index (M,), to be added to their constant harmonic, if any.
+
+        Only nodes that have other harmonics are computed; they lie together in vectors.
+        """
         if self._directional is None:
-            return index, None
-        return index, self._directional.constant(index, self._records, camera)
+            return None
+        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
+        added = [dr.zeros(Float, dr.width(index)) for _ in range(3)]
+        slot = dr.gather(self._arrays.plain.Int, self._slots, index)
+        some = UInt(dr.compress(slot >= 0))
+        if dr.width(some):
+            sh = _harmonics(self._directional.at(UInt(dr.gather(type(slot), slot, some))).sh)
+            means = self._records.at(dr.gather(UInt, index, some)).means
+            found = directional_constant(self._arrays, sh, means, camera)
+            for target, value in zip(added, found, strict=True):
+                dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
+        return added
+
+
+def _harmonics(rows: list[Float]) -> list[list[Float]]:
+    """The three channels of each harmonic."""
+    return [rows[k : k + 3] for k in range(0, len(rows), 3)]
 
 
 def footprints_of_nodes(
     arrays: Arrays,
     nodes: Records,
-    shown: list[tuple[Any, list[Any] | None]],
+    shown: list[tuple[UInt, list[Float] | None]],
     turned: Turned | None,
-    count: Any,
+    count: UInt,
     view: CameraNumbers,
-    coefficients: int,
     size: int,
-) -> tuple[Records, Any]:
+) -> tuple[Records, Float]:
     """`size` footprints and their depths, of which the first `count` are those of some nodes.
 
     Args:
@@ -311,15 +311,14 @@ def footprints_of_nodes(
     lane = dr.arange(arrays.plain.UInt, size)
     known = lane < count
 
-    def projected(index: Any, added: list[Any] | None) -> Footprints:
+    def projected(index: UInt, added: list[Float] | None) -> Footprints:
         node = nodes.at(dr.gather(arrays.plain.UInt, index, lane, known))
-        sh = [node.sh[3 * k : 3 * k + 3] for k in range(coefficients)]
+        sh = _harmonics(node.sh)
         if added is not None:
             more = (dr.gather(type(channel), channel, lane, known) for channel in added)
             sh = [[own + further for own, further in zip(sh[0], more, strict=True)]]
-        return footprints(
-            Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh), view
-        )
+        shape = node.means, node.log_scales, node.rotations, node.opacity_logits
+        return footprints(Parameters(*shape, sh), view)
 
     raw = projected(*shown[0])
     if turned is not None:
@@ -328,39 +327,6 @@ def footprints_of_nodes(
 
 
 _footprints = Frozen(footprints_of_nodes)
-
-
-class _DirectionalTable:
-    """Harmonics above the constant one, of the nodes that have them."""
-
-    def __init__(self, arrays: Arrays, further: Directional, count: int):
-        self._arrays, self._slot_of = arrays, further.slots(count)
-        self._coefficients = further.sh.shape[0]
-        self._slots = arrays.plain.Int(self._slot_of.int().numpy())
-        self._records = _uploaded(arrays, sh=further.sh)
-
-    def light(self, nodes: torch.Tensor, further: Directional) -> None:
-        """Gives those of some nodes (L,) of the forest that have such harmonics others."""
-        if len(further):
-            _write(self._records, self._slot_of[nodes[further.index]], sh=further.sh)
-
-    def constant(self, index: Any, nodes: Records, camera: Camera) -> list[Any]:
-        """Three channels (M,), of nodes at an index (M,), to be added to their constant harmonic.
-
-        Only nodes that have such harmonics are computed; they lie together in vectors.
-        """
-        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
-        added = [dr.zeros(Float, dr.width(index)) for _ in range(3)]
-        slot = dr.gather(self._arrays.plain.Int, self._slots, index)
-        some = dr.compress(slot >= 0)
-        if dr.width(some):
-            coefficients = self._records.at(UInt(dr.gather(type(slot), slot, some))).sh
-            sh = [coefficients[3 * k : 3 * k + 3] for k in range(self._coefficients)]
-            means = nodes.at(dr.gather(UInt, UInt(index), some)).means
-            found = directional_constant(self._arrays, sh, means, camera)
-            for target, value in zip(added, found, strict=True):
-                dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
-        return added
 
 
 def _uploaded(arrays: Arrays, **tensors: torch.Tensor) -> Records:
@@ -373,5 +339,5 @@ def _uploaded(arrays: Arrays, **tensors: torch.Tensor) -> Records:
 
 def _write(records: Records, nodes: torch.Tensor, **tensors: torch.Tensor) -> None:
     """Overwrites numbers of nodes, by their indices (M,), with tensors (..., M)."""
-    values = {name: [_row(records.arrays, row) for row in as_rows(t)] for name, t in tensors.items()}
+    values = {name: [detached(records.arrays, row) for row in as_rows(t)] for name, t in tensors.items()}
     records.write(records.arrays.plain.UInt(nodes.numpy()), **values)

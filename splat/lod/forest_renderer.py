@@ -1,9 +1,8 @@
 """Renders several layers of a forest, each at its own sampling rate, and composites them into one frame.
 
-A layer is drawn where it has a weight in the frame, at the sampling rate that is needed there, and the layer
-images are composited by their weights, pixel by pixel. Fov-GS instead blends the Gaussians of two layers in
-one list, each with a part of its opacity, which lets the coarse ones hide the fine ones: half-way between two
-layers that costs 2.7 dB on `room` (29.2 against 31.8 dB at 256 x 256).
+Layer images are composited by their weights, pixel by pixel. Fov-GS instead blends the Gaussians of two
+layers in one list, each with a part of its opacity, which lets the coarse ones hide the fine ones: half-way
+between two layers that costs 2.7 dB on `room` (29.2 against 31.8 dB at 256 x 256).
 
 All layer images share one projection, one sort and one rasterization: they lie one above the other in an
 atlas. An image at rate r has one sample per 2^r x 2^r pixels, at their centre.
@@ -12,12 +11,11 @@ atlas. An image at rate r has one sample per 2^r x 2^r pixels, at their centre.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
@@ -29,6 +27,7 @@ from splat.lod.layer_images import (
     NYQUIST,
     AtlasEntry,
     AtlasPart,
+    EntryTable,
     Lattice,
     LayerImage,
     Mask,
@@ -36,20 +35,23 @@ from splat.lod.layer_images import (
     Under,
     at_corners,
     black_image,
+    chosen,
     covered_cells,
     pack_atlas,
 )
-from splat.lod.node_selection import EntryTable, chosen
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
 from splat.model.gaussians import Blending
-from splat.raster.binning import Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
+from splat.model.points import Bits
+from splat.raster.binning import Boxed, Candidates, SortedPairs, TileBounds, boxed, lists, run_lengths
 from splat.raster.blending import ImageSplit, blend, jumps
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import PAIRS_AT_ONCE, Parts, rasterize_parts
 from splat.raster.projection import PIXEL_FILTER, Footprints, filtered, radiance_from_perceptual
 from splat.raster.records import Records
 from splat.raster.tiles import TILE, TileGrid
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt, UInt64
 
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
@@ -121,11 +123,7 @@ class ForestRenderer:
         self._footprints.hold_cut(drawn)
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
-        """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
-
-        Raises:
-            ValueError: the forest has no such layer.
-        """
+        """One layer over the whole frame, (H / 2^rate, W / 2^rate) samples; ValueError if there is none."""
         grid = TileGrid(camera.width, camera.height)
         image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
         part = AtlasPart.of(pack_atlas([image], grid.mask(None)))
@@ -142,9 +140,8 @@ class ForestRenderer:
         over: bool = False,
         levels: Lattice | None = None,
     ) -> list[SplatImage]:
-        """An image of each part, which lie one above the other, from the top down.
+        """An image of each part, which lie one above the other; all count the nodes of all.
 
-        All count the nodes of all; they are black images of the frame's size if no node shows in any entry.
         If it `mixes`, the last part is composited: into the first image if it lies `over` that, or into one
         that comes before all. `rate` is the finest that entries may have.
         """
@@ -160,22 +157,25 @@ class ForestRenderer:
         nodes = int(end[table.capacity - 1])
         if not nodes:
             return black
-        columns, mask = max(entry.tiles.shape[1] for entry in entries), _tiles_of(parts)
+        # The tiles of the atlas that are drawn.
+        columns = max(entry.tiles.shape[1] for entry in entries)
+        mask = np.zeros((sum(part.height for part in parts), columns), dtype=bool)
+        for entry in entries:
+            mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
         # So many tiles of the rasterizer lie along the side of one of the atlas.
         shown = TileGrid(max(1, camera.width >> rate), max(1, camera.height >> rate))
         split = _FINE_SPLIT if shown.columns * shown.rows <= _FEW_TILES else 1
         grid = TileGrid(columns * TILE, len(mask) * TILE, TILE // split)
         sizes = arrays.constant(nodes), capacity(nodes), split, self._encoded
-        splats, *runs = _splats(arrays, table, footprints, found, *sizes)
-        mask = mask.repeat(split, axis=0).repeat(split, axis=1)
-        heights = [split * part.height for part in parts]
-        mixture = None
+        splats, ends, lengths = _splats(arrays, table, footprints, found, *sizes)
+        mask, mixture = mask.repeat(split, axis=0).repeat(split, axis=1), None
         if mixes:
             top = _rows_of(parts[:-1])
             placed = [replace(entry, top=entry.top - top) for entry in parts[-1].entries]
             mixture = Mixture.of(arrays, placed, grid.padded_width, camera)
-        candidates = Candidates(arrays, splats, grid, mask, None, runs)
-        images = _drawn_images(arrays, candidates, heights, mixture, over, self._encoded)
+        candidates = Candidates(arrays, splats, grid, mask, None, (ends, lengths))
+        heights, finish = [split * part.height for part in parts], Finish(mixture, over, self._encoded)
+        images = _drawn_images(arrays, candidates, heights, finish)
         size, firsts = (camera.width, camera.height), [part.entries[0].first_row * TILE for part in parts]
         shapes = [(grid.padded_width, CHANNELS, first) for first in firsts]
         if mixes:
@@ -201,8 +201,7 @@ class ForestRenderer:
         cutoff = np.maximum(cutoff, NYQUIST / _WIDEST_BLUR, dtype=np.float32)
         lowest, blurs = np.minimum.reduce(at_corners(cutoff)), []
         for entry in entries:
-            # The layer was trained with a filter of its training frames' pixels, and the grid of samples
-            # requires one of its own.
+            # Both the pixels of its training frames and the grid of samples require a filter.
             layer = len(self.forest.counts) if entry.image.layer == CONTINUOUS else entry.image.layer
             least = max(camera.fy / self.forest.focal_of(layer), 2.0**entry.image.rate)
             kept = NYQUIST if entry.is_sharp else float(lowest[entry.cells].min())
@@ -215,37 +214,25 @@ class ForestRenderer:
 
 
 def _rows_of(parts: Sequence[AtlasPart]) -> int:
-    """Rows of samples that parts of an atlas take."""
     return TILE * sum(part.height for part in parts)
-
-
-def _tiles_of(parts: Sequence[AtlasPart]) -> Mask:
-    """(rows, columns) the tiles of an atlas that are drawn."""
-    entries = [entry for part in parts for entry in part.entries]
-    columns = max(entry.tiles.shape[1] for entry in entries)
-    mask = np.zeros((sum(part.height for part in parts), columns), dtype=bool)
-    for entry in entries:
-        mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
-    return mask
 
 
 def splats_of_candidates(
     arrays: Arrays,
     table: EntryTable,
     footprints: Records,
-    found: Any,
-    count: Any,
+    found: UInt,
+    count: UInt,
     size: int,
     split: int,
     encoded: bool,
-) -> tuple[Any, ...]:
+) -> tuple[Boxed, UInt64, UInt]:
     """Candidates in samples of the atlas, boxed for its tiles, and their `run_lengths`.
 
     Args:
         found: (N,) numbers of the candidates, of which the first `count` are drawn.
         size: of the result, at least that.
         split: tiles of the rasterizer along the side of one of the atlas.
-        encoded: by which rules footprints are filtered.
     """
     lane = dr.arange(arrays.plain.UInt, size)
     known = lane < count
@@ -264,62 +251,43 @@ def splats_of_candidates(
     return result, *run_lengths(arrays, result.count, None)
 
 
-def _drawn_images(
-    arrays: Arrays,
-    candidates: Candidates,
-    heights: list[int],
-    mixture: Mixture | None,
-    over: bool,
-    encoded: bool,
-) -> list[Any]:
-    """Images of candidates, the last one composited if there is a mixture."""
-    runs, grid = candidates.runs(candidates.whole), candidates.grid
-    split = ImageSplit.of(arrays, grid, heights)
+@dataclass(frozen=True)
+class Finish:
+    """What becomes of the images of parts."""
+
+    mixture: Mixture | None  # of the last one
+    over: bool  # whether that is composited into the first one, or else into one before all
+    encoded: bool  # whether they are of perceptual values, and become linear radiance
+
+    def of(self, arrays: Arrays, images: list[Float]) -> list[Float]:
+        """The images, finished; the last one is gone if there is a mixture."""
+        if self.encoded:
+            # The fourth channel is opacity.
+            for number, image in enumerate(images):
+                is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
+                images[number] = dr.select(is_colour, radiance_from_perceptual(image), image)
+            dr.eval(images)
+        if self.mixture is None:
+            return images
+        *others, atlas = images
+        frame = others.pop(0) if self.over else None
+        return [composited(arrays, self.mixture, atlas, frame), *others]
+
+
+def _drawn_images(arrays: Arrays, candidates: Candidates, heights: list[int], finish: Finish) -> list[Float]:
+    runs, split = candidates.runs(candidates.whole), ImageSplit.of(arrays, candidates.grid, heights)
     if not 0 < runs.pairs <= PAIRS_AT_ONCE:
-        images = rasterize_parts(arrays, Parts(candidates), heights)
-        return _finished(arrays, images, mixture, over, encoded)
+        return finish.of(arrays, rasterize_parts(arrays, Parts(candidates), heights))
     pairs, _ = candidates.sorted(runs)
     jumping = jumps(arrays, runs.pairs, int(np.count_nonzero(candidates.wanted)))
-    return _images(arrays, candidates.found.blended, pairs, split, jumping, mixture, over, encoded)
+    return _images(arrays, candidates.found.blended, pairs, split, jumping, finish)
 
 
 def images_of_pairs(
-    arrays: Arrays,
-    blended: Records,
-    pairs: SortedPairs,
-    split: ImageSplit,
-    jumping: bool,
-    mixture: Mixture | None,
-    over: bool,
-    encoded: bool,
-) -> list[Any]:
-    """Images of sorted candidates, the last one composited if there is a mixture."""
-    images = blend(arrays, blended, lists(arrays, pairs), split, jumping)
-    return _finished(arrays, images, mixture, over, encoded)
-
-
-def _finished(
-    arrays: Arrays, images: list[Any], mixture: Mixture | None, over: bool, encoded: bool
-) -> list[Any]:
-    """Images in linear radiance; of a mixture without the last one.
-
-    That one is composited into the first one, or into one before all.
-    """
-    if encoded:
-        images = [_radiance(arrays, image) for image in images]
-    if mixture is None:
-        return images
-    *others, atlas = images
-    frame = others.pop(0) if over else None
-    return [composited(arrays, mixture, atlas, frame), *others]
-
-
-def _radiance(arrays: Arrays, image: Any) -> Any:
-    """An image of blended perceptual values in linear radiance; its fourth channel, opacity, is as it was."""
-    is_colour = dr.arange(arrays.plain.UInt, dr.width(image)) % CHANNELS < CHANNELS - 1
-    radiance = dr.select(is_colour, radiance_from_perceptual(image), image)
-    dr.eval(radiance)
-    return radiance
+    arrays: Arrays, blended: Records, pairs: SortedPairs, split: ImageSplit, jumping: bool, finish: Finish
+) -> list[Float]:
+    """Images of sorted candidates."""
+    return finish.of(arrays, blend(arrays, blended, lists(arrays, pairs), split, jumping))
 
 
 _chosen, _splats = Frozen(chosen, by_size=True), Frozen(splats_of_candidates, by_size=True)
@@ -354,7 +322,7 @@ class CachedLayerImages:
         cutoff = np.full((grid.rows + 1, grid.columns + 1), NYQUIST, np.float32)
         (self._atlas,) = renderer._drawn(camera, [part], cutoff)
 
-    def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
+    def composite(self, weights: Sequence[Lattice], wanted: Mask) -> SplatImage:
         """The wanted cells (rows, columns) of TILE pixels of the frame.
 
         The weights of the images, (rows + 1, columns + 1) at the corners of cells, sum to 1 in wanted cells.

@@ -7,12 +7,11 @@ have one for each of its sides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from compose.camera.camera import Camera, between_steps
@@ -24,8 +23,9 @@ from splat.model.gaussians import (
     perceptual_from_radiance,
     radiance_from_perceptual,
 )
-from splat.model.layer import Layer
 from splat.model.motion import multiplied, turned
+from splat.model.points import Bits, Floats, Ints
+from splat.model.trees import Layer
 
 # Radiance below which a factor has nothing to change.
 _DARK = 1e-4
@@ -35,8 +35,7 @@ _DARK = 1e-4
 class LightCourse:
     """Factors on the radiance of M nodes of a forest.
 
-    Raises:
-        ValueError: a tensor has the wrong shape or type, or a sided node is none of the M.
+    ValueError if a tensor has the wrong shape or type, or a sided node is none of the M.
     """
 
     nodes: torch.Tensor  # (M,) int64, their indices in the forest, ascending
@@ -62,16 +61,15 @@ class LightCourse:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return dict(vars(self))
 
     def among(self, first: int, end: int) -> LightCourse:
         """The course of those nodes alone whose indices are from first up to end."""
         kept = (self.nodes >= first) & (self.nodes < end)
         position = torch.cumsum(kept, 0) - 1
         sided = kept[self.sided]
-        own, behind = self.factors[..., kept], self.behind[..., sided]
-        which = position[self.sided[sided]]
-        return LightCourse(self.nodes[kept], own, which, behind, self.normals[:, sided])
+        both = self.factors[..., kept], position[self.sided[sided]], self.behind[..., sided]
+        return LightCourse(self.nodes[kept], *both, self.normals[:, sided])
 
 
 def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
@@ -123,11 +121,10 @@ def in_light(gaussians: Gaussians, nodes: torch.Tensor, factor: torch.Tensor) ->
 _REACH = 8.0
 # Which neighbour of a point tells the gap.
 _NEIGHBOUR = 4
-# Among so many neighbours of a point there is one of the other side of something thin, whose normal's
-# product with that of the point is at most so much.
+# Among so many neighbours of a point is one of the other side of something thin; most product of normals.
 _AROUND, _OPPOSITE = 32, -0.3
-# Neighbours of a point that tell how light changes from place to place, and the least product of their
-# normals with its own: light that changes around a corner is no edge of a shadow.
+# Neighbours that tell how light changes from place to place, and the least product of their normals: light
+# that changes around a corner is no edge of a shadow.
 _NEIGHBOURS, _ALIKE = 6, 0.7
 # Times that tell it, about.
 _SAMPLED = 32
@@ -142,8 +139,7 @@ class SurfaceLight:
     means: torch.Tensor  # (3, P) float32, the points at rest
     normals: torch.Tensor  # (3, P) float32, at rest, towards where each was seen from
     instance: torch.Tensor  # (P,) int32, what moves them; -1 for nothing
-    # (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal steps of time from 0
-    # to 1.
+    # (T, 3, P) float16, irradiance of each channel over what is usual there, at equal steps of time, 0 to 1
     factors: torch.Tensor
     changes: torch.Tensor  # (P,) bool, whether that is more than noise
 
@@ -157,10 +153,9 @@ class SurfaceLight:
 
     @cached_property
     def _apart(self) -> float:
-        """How far instances are moved apart, in the fourth axis in which neighbours are sought."""
         return 4 * float(np.ptp(self.means.numpy(), axis=1).max()) + 1.0
 
-    def _keys(self, means: torch.Tensor, instance: torch.Tensor) -> NDArray[np.float64]:
+    def _keys(self, means: torch.Tensor, instance: torch.Tensor) -> Floats:
         """(N, 4) points among which those of other instances are never the nearest."""
         own = instance.clamp(min=-1).double() * self._apart
         return torch.cat([means.detach().double(), own[None]]).T.numpy()
@@ -169,12 +164,12 @@ class SurfaceLight:
     def _tree(self) -> cKDTree:
         return cKDTree(self._keys(self.means, self.instance))
 
-    def _neighbours(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _neighbours(self, count: int) -> tuple[Floats, Ints]:
         """(P, K) distances and indices of the K nearest points of each one, itself first; K <= `count`."""
         return self._tree.query(self._tree.data, k=np.arange(1, min(count, len(self)) + 1))
 
     @cached_property
-    def _around(self) -> tuple[NDArray[np.float64], torch.Tensor]:
+    def _around(self) -> tuple[Floats, torch.Tensor]:
         """(P,) gap to other points, and (P,) index of a point of the other side, the point itself if none."""
         away, near = self._neighbours(_AROUND)
         gap = away[:, min(_NEIGHBOUR, away.shape[1] - 1)]
@@ -185,7 +180,7 @@ class SurfaceLight:
         return gap, torch.from_numpy(np.where(opposite.any(axis=1), first, np.arange(len(self))))
 
     @cached_property
-    def _unevenness(self) -> NDArray[np.float64]:
+    def _unevenness(self) -> Floats:
         """(P,) mean squared change of the perceived light per distance from a point, over many times."""
         sampled = self.factors[:: max(1, len(self.factors) // _SAMPLED)]
         perceived = sampled.float().numpy() ** np.float32(1 / _GAMMA)
@@ -203,16 +198,13 @@ class SurfaceLight:
     def unevenness(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
         """(N,) how much light differs around nodes with centres (3, N) at rest, of instances (N,), over time.
 
-        The squared difference of the perceived factors between two places, over their distance. Where edges
-        of shadows pass, it does not depend on that distance: the farther the places are apart, the longer
-        an edge lies between them.
+        The squared difference of the perceived factors between two places, over their distance, on which it
+        does not depend where edges of shadows pass.
         """
         nearest, within = self._nearest(means, instance)
         return torch.from_numpy(np.where(within, self._unevenness[nearest], 0)).float()
 
-    def _nearest(
-        self, means: torch.Tensor, instance: torch.Tensor
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _nearest(self, means: torch.Tensor, instance: torch.Tensor) -> tuple[Ints, Bits]:
         """(N,) the nearest point of each node, and (N,) whether it is near enough to tell its light."""
         away, nearest = self._tree.query(self._keys(means, instance))
         return nearest, away <= _REACH * self._around[0][nearest]
@@ -262,15 +254,14 @@ class NodeLight:
         self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
     ) -> Gaussians:
         """Shown nodes of the layer, by their indices (M,), in their light; torch can differentiate them."""
-        changed, factor = self._factor(self._near[:, index], rest, shown, camera, time)
-        return in_light(shown, changed, factor)
+        return in_light(shown, *self._factor(self._near[:, index], rest, shown, camera, time))
 
     def in_usual_light(self, layer: Layer, shown: Gaussians, camera: Camera, time: float) -> Layer:
         """Nodes at rest that have the radiance seen by a camera, with that in usual light instead."""
         near = self.surface.near(layer.gaussians.means, layer.semantic)
         changed, factor = self._factor(near, layer.gaussians, shown, camera, time)
-        factor = 1 / factor.clamp(min=_LEAST)
-        return replace(layer, gaussians=in_light(layer.gaussians, changed, factor))
+        usual = in_light(layer.gaussians, changed, 1 / factor.clamp(min=_LEAST))
+        return replace(layer, gaussians=usual)
 
     @torch.no_grad()
     def _factor(

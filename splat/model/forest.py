@@ -1,9 +1,8 @@
 """The forest: binary trees of Gaussians, all with the same number of layers (Fov-GS, section 3.1 and 3.2).
 
 Layer L holds what the training frames show at full resolution, layer l what they show reduced by 2^(L - l).
-The trees are built from the bottom up (Algorithm 1). The paper's figure and text leave one point open, which
-is settled here: a Gaussian large enough for a coarse layer is drawn in the finer layers, too, so it continues
-below as its own child. Otherwise the finer layers would have a hole in its place.
+The trees are built from the bottom up (Algorithm 1). The paper leaves one point open: here, a Gaussian large
+enough for a coarse layer continues below as its own child, or the finer layers would have a hole.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate, pairwise
 
 import numpy as np
 import torch
@@ -20,9 +20,9 @@ from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.dynamic_light import LightCourse, SurfaceLight
 from splat.model.gaussians import Blending, Gaussians
 from splat.model.hierarchy import Hierarchy, HierarchyNodes, hierarchy_of
-from splat.model.layer import Layer, concatenated_layers
 from splat.model.motion import Dynamics
 from splat.model.points import rows_of, z_curve_order
+from splat.model.trees import Layer, concatenated_layers
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,14 @@ class Forest:
                 raise ValueError(f"light of nodes {first} to {last}; there are {len(self.nodes)}")
 
     @property
+    def ranges(self) -> list[tuple[int, int]]:
+        """First index of each layer's nodes, and the one after the last."""
+        return list(pairwise(accumulate(self.counts, initial=0)))
+
+    @property
     def layers(self) -> list[Layer]:
         """The layers, coarsest first; they share the forest's memory."""
-        ends = np.cumsum(self.counts).tolist()
-        return [self.nodes.part(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
+        return [self.nodes.part(first, end) for first, end in self.ranges]
 
     @property
     def finest(self) -> Gaussians:
@@ -106,8 +110,7 @@ class Forest:
 
     def digest(self) -> str:
         """Hash of the Gaussians, their place and blending, and the attached tensors."""
-        # Forests in the world's own coordinates keep the hash that they had before there were others, and so
-        # do those that are blended linearly.
+        # Forests in world coordinates, and those that are blended linearly, keep their earlier hash.
         place = (self.place,) if self.place != WORLD else ()
         blending = self.nodes.gaussians.blending
         blended = () if blending is Blending.LINEAR else (blending.value,)
@@ -146,7 +149,6 @@ def forest_of(
         position = np.empty(len(layer), dtype=np.int64)
         position[order] = np.arange(len(layer))
         arranged.append(moved)
-    counts = tuple(len(layer) for layer in layers)
-    nodes = concatenated_layers(arranged)
+    counts, nodes = tuple(map(len, layers)), concatenated_layers(arranged)
     course = None if light is None else light.course(nodes)
     return Forest(nodes, counts, trained_focal, scene_name, scene_hash, {}, place, motion, course)

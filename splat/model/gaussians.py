@@ -1,18 +1,16 @@
 """The parameters of 3D Gaussians, as a structure of arrays, and the perceptual scale of their colours.
 
-Radiance is linear and unbounded. The spherical harmonics represent it on a perceptual scale, the sRGB curve
-continued above 1: on this scale 3D Gaussian splatting trains, its files store colours, and a lamp of
-radiance 50 is only 5.3. `Blending` says whether values of this scale or radiance are blended.
+That is the sRGB curve continued above 1, on which a lamp of radiance 50 is only 5.3. 3D Gaussian splatting
+trains and stores its colours on it. `Blending` says whether its values or radiance are blended.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import accumulate
-from typing import Any
 
 import torch
 
@@ -45,8 +43,8 @@ class Blending(str, Enum):
 
     # Linear radiance, with the filter of Mip-Splatting: those trained here.
     LINEAR = "linear"
-    # Values of the perceptual scale, which are display-encoded, with filter and limits of 3D Gaussian
-    # splatting (Kerbl et al. 2023): those of its files. The blended image is made linear radiance afterwards.
+    # Values of the perceptual scale, by the rules of 3D Gaussian splatting (Kerbl et al. 2023); the blended
+    # image is made linear radiance afterwards.
     DISPLAY = "display"
 
 
@@ -110,8 +108,20 @@ class Gaussians:
         k, found = self.sh.shape[0], tuple(self.sh.shape)
         if found != (k, 3, n) or k not in [sh_count(d) for d in range(MAX_DEGREE + 1)]:
             raise ValueError(f"sh has shape {found}, expected (K, 3, {n}) with K in 1, 4, 9, 16")
-        if self.directional is not None:
-            _check_directional(self.directional, k, n)
+        if self.directional is None:
+            return
+        index, further = self.directional.index, self.directional.sh
+        known = [sh_count(degree) - 1 for degree in range(MAX_DEGREE + 1)]
+        right = k == 1 and further.ndim == 3 and further.shape[0] in known
+        if not right or tuple(further.shape[1:]) != (3, len(index)):
+            raise ValueError(
+                f"directional harmonics of shape {tuple(further.shape)} of {len(index)} Gaussians beside {k} "
+                "others, expected (K - 1, 3, M) with K in 1, 4, 9, 16 beside one"
+            )
+        if index.dtype != torch.int64 or index.ndim != 1:
+            raise ValueError("an index of directional harmonics that is not of int64 numbers")
+        if len(index) and (int(index[0]) < 0 or int(index[-1]) >= n or bool((index.diff() <= 0).any())):
+            raise ValueError(f"directional harmonics of others than {n} Gaussians in ascending order")
 
     def __len__(self) -> int:
         return self.opacity_logits.shape[0]
@@ -150,28 +160,31 @@ class Gaussians:
         rows = [torch.zeros(shape) for shape in ((3, 0), (3, 0), (4, 0), (0,), (sh_count(degree), 3, 0))]
         return Gaussians(*rows)
 
+    def _each(
+        self, change: Callable[[torch.Tensor], torch.Tensor], directional: Directional | None
+    ) -> Gaussians:
+        tensors = [change(tensor) for _, tensor in self.tensors()]
+        return Gaussians(*tensors, directional=directional, blending=self.blending)
+
     def to(self, device: torch.device) -> Gaussians:
         """The same Gaussians on a device; shares the memory of those that are there."""
         further = self.directional
         if further is not None:
             further = Directional(further.index.to(device), further.sh.to(device))
-        own: Any = {name: tensor.to(device) for name, tensor in self.tensors()}
-        return replace(self, **own, directional=further)
+        return self._each(lambda tensor: tensor.to(device), further)
 
     def select(self, keep: torch.Tensor) -> Gaussians:
         """The Gaussians at an index or a mask (N,), copied."""
-        own: Any = {name: tensor[..., keep].contiguous() for name, tensor in self.tensors()}
         further = None if self.directional is None else self.directional.select(keep, len(self))
-        return replace(self, **own, directional=further)
+        return self._each(lambda tensor: tensor[..., keep].contiguous(), further)
 
     def part(self, start: int, end: int) -> Gaussians:
         """The Gaussians from start up to end; shares memory."""
-        own: Any = {name: tensor[..., start:end] for name, tensor in self.tensors()}
         further = self.directional
         if further is not None:
             first, last = torch.searchsorted(further.index, torch.tensor([start, end])).tolist()
             further = Directional(further.index[first:last] - start, further.sh[..., first:last])
-        return replace(self, **own, directional=further)
+        return self._each(lambda tensor: tensor[..., start:end], further)
 
     def turning(self, kept: torch.Tensor) -> Gaussians:
         """The same Gaussians, of which only those at a mask (N,) keep harmonics above the constant one."""
@@ -215,8 +228,8 @@ def concatenated(parts: list[Gaussians]) -> Gaussians:
         own = [(start, part.directional) for start, part in zip(starts, parts, strict=False)]
         index = torch.cat([d.index + start for start, d in own if d is not None])
         further = Directional(index, torch.cat([d.sh for _, d in own if d is not None], dim=-1))
-    tensors: Any = {name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS}
-    return replace(parts[0], **tensors, directional=further)
+    tensors = [torch.cat([getattr(part, name) for part in parts], dim=-1) for name in TENSORS]
+    return Gaussians(*tensors, directional=further, blending=parts[0].blending)
 
 
 def written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gaussians:
@@ -238,21 +251,6 @@ def apart(gaussians: Gaussians) -> Gaussians:
     if gaussians.directional is not None:
         return gaussians
     return gaussians.turning(torch.ones(len(gaussians), dtype=torch.bool))
-
-
-def _check_directional(directional: Directional, constant: int, count: int) -> None:
-    """Raises a ValueError if these are not harmonics of some of `count` Gaussians."""
-    index, sh = directional.index, directional.sh
-    known = [sh_count(degree) - 1 for degree in range(MAX_DEGREE + 1)]
-    if constant != 1 or sh.ndim != 3 or tuple(sh.shape[1:]) != (3, len(index)) or sh.shape[0] not in known:
-        raise ValueError(
-            f"directional harmonics of shape {tuple(sh.shape)} of {len(index)} Gaussians beside {constant} "
-            "others, expected (K - 1, 3, M) with K in 1, 4, 9, 16 beside one"
-        )
-    if index.dtype != torch.int64 or index.ndim != 1:
-        raise ValueError("an index of directional harmonics that is not of int64 numbers")
-    if len(index) and (int(index[0]) < 0 or int(index[-1]) >= count or bool((index.diff() <= 0).any())):
-        raise ValueError(f"directional harmonics of others than {count} Gaussians in ascending order")
 
 
 def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:

@@ -1,12 +1,12 @@
 """A binary tree over one set of Gaussians, deep enough for a level of detail of its own in every direction.
 
 Inner nodes have the moments of their two children, as in hierarchical 3D Gaussians (Kerbl et al. 2024), whose
-cuts the perceptually guided levels of detail move; or they were fitted (`splat.training.hierarchy_fit`).
+cuts the perceptually guided levels of detail move; or they were fitted (`splat.training.picture_fit`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splat.model.gaussians import SH_DC, Gaussians, concatenated
-from splat.model.layer import Layer
-from splat.model.points import Floats, Ints, remoteness, rows_of
-from splat.model.trees import label_codes, merge
+from splat.model.points import Bits, Floats, Ints, remoteness, rows_of
+from splat.model.trees import Layer, label_codes, merge
 
 # Rounds of pairing per octave of size, and passes per round; neighbours among which a partner is sought.
 _PER_OCTAVE, _PASSES, _NEIGHBOURS = 2, 2, 8
@@ -37,12 +36,11 @@ _LARGER = 1.1
 class Hierarchy:
     """Which nodes are joined: N leaves come first, then M inner nodes, children before their parents.
 
+    ValueError if there are inner nodes, but not M.
+
     Attributes:
         children: (M, 2) int32, indices among all N + M nodes, the larger child first.
         inner: M inner nodes that were fitted; None if they have the moments of their children.
-
-    Raises:
-        ValueError: there are inner nodes, but not M.
     """
 
     children: torch.Tensor
@@ -58,8 +56,7 @@ class Hierarchy:
     def parents(self, leaves: int) -> Ints:
         """(N + M,) the parent of each node, over N leaves; -1 for roots.
 
-        Raises:
-            ValueError: the pairs do not make trees over so many leaves.
+        ValueError if the pairs do not make trees over so many leaves.
         """
         children = self.children.numpy().astype(np.int64)
         number = leaves + np.arange(len(children))
@@ -78,18 +75,20 @@ class Hierarchy:
         parent = self.parents(count)
         size = np.concatenate([leaves.longest.numpy().astype(np.float64), np.zeros(len(children))])
         radius, nodes = np.zeros(len(size)), leaves
-        for start, end in _batches(children, count):
+        highest, end = children.max(axis=1) if len(children) else children[:, 0], 0
+        while end < len(children):
+            # As many as have all children before them.
+            start, later = end, np.flatnonzero(highest[end:] >= count + end)
+            end = start + int(later[0]) if len(later) else len(children)
             pairs = children[start:end]
             if self.inner is None:
                 merged = merge(*(nodes.select(torch.from_numpy(side)) for side in pairs.T))
             else:
                 merged = self.inner.part(start, end)
             size[count + start : count + end] = _size(merged, size[pairs])
-            away = [
-                np.linalg.norm(rows_of(merged.means) - rows_of(nodes.means[:, side]), axis=1)
-                for side in pairs.T
-            ]
-            radius[count + start : count + end] = (np.stack(away, axis=1) + radius[pairs]).max(axis=1)
+            away = rows_of(merged.means) - rows_of(nodes.means[:, torch.from_numpy(pairs)])  # (2, P, 3)
+            reach = np.linalg.norm(away, axis=2).T + radius[pairs]
+            radius[count + start : count + end] = reach.max(axis=1)
             nodes = concatenated([nodes, merged])
         is_heir = np.ones(len(size), dtype=bool)
         is_heir[children[:, 1]] = False
@@ -103,7 +102,7 @@ class HierarchyNodes:
 
     gaussians: Gaussians  # N + M
     parent: NDArray[np.int32]  # (N + M,) -1 for roots
-    is_heir: NDArray[np.bool_]  # (N + M,) whether it is the larger child, or a root
+    is_heir: Bits  # (N + M,) whether it is the larger child, or a root
     size: NDArray[np.float32]  # (N + M,) standard deviation along the longest axis; parents' are larger
     radius: NDArray[np.float32]  # (N + M,) within which of its centre all centres below a node lie
     leaves: int  # N
@@ -178,7 +177,6 @@ class _Building:
 
     @property
     def joined(self) -> int:
-        """How many nodes have a parent, of twice the number of leaves."""
         return sum(map(len, self.pairs))
 
     @property
@@ -187,7 +185,6 @@ class _Building:
         return self._size / remoteness(self._gaussians.means).numpy()
 
     def join(self, limit: float) -> None:
-        """Gives parents to pairs of nodes that are relatively no larger than a limit."""
         few = np.flatnonzero(self.relative <= limit)
         if len(few) < 2:
             return
@@ -221,28 +218,20 @@ class _Building:
         distance /= limit * remoteness(means).numpy()[:, None]
         cost = distance + _COLOUR * np.abs(colour[near] - colour[:, None]).sum(axis=2)
         cost[(distance > _FARTHEST) | (codes[near] != codes[:, None])] = np.inf
-        return np.concatenate([np.zeros((0, 2), np.int64), *_mutual(near, cost)])
-
-
-def _mutual(near: Ints, cost: Floats) -> Iterator[Ints]:
-    """Pairs (P, 2) of points that are each other's cheapest free neighbour, until there are none.
-
-    Of each point there are neighbours (N, K) and what joining them costs, infinite if they must not be.
-    """
-    own, cost = np.arange(len(near)), cost.copy()
-    while True:
-        choice = cost.argmin(axis=1)
-        best = near[own, choice]
-        possible = np.isfinite(cost[own, choice])
-        found = np.flatnonzero(possible & possible[best] & (best[best] == own) & (own < best))
-        if not len(found):
-            return
-        pairs = np.stack([found, best[found]], axis=1)
-        taken = np.zeros(len(near), dtype=bool)
-        taken[pairs] = True
-        cost[taken] = np.inf
-        cost[taken[near]] = np.inf
-        yield pairs
+        # Those that are each other's cheapest free neighbour, until there are none.
+        own, pairs = np.arange(len(near)), [np.zeros((0, 2), np.int64)]
+        while True:
+            choice = cost.argmin(axis=1)
+            best = near[own, choice]
+            possible = np.isfinite(cost[own, choice])
+            found = np.flatnonzero(possible & possible[best] & (best[best] == own) & (own < best))
+            if not len(found):
+                return np.concatenate(pairs)
+            pairs.append(np.stack([found, best[found]], axis=1))
+            taken = np.zeros(len(near), dtype=bool)
+            taken[pairs[-1]] = True
+            cost[taken] = np.inf
+            cost[taken[near]] = np.inf
 
 
 def _size(merged: Gaussians, children: Floats) -> Floats:
@@ -250,11 +239,52 @@ def _size(merged: Gaussians, children: Floats) -> Floats:
     return np.maximum(merged.longest.numpy(), _LARGER * children.max(axis=1))
 
 
-def _batches(children: Ints, count: int) -> Iterator[tuple[int, int]]:
-    """Ranges of inner nodes whose children all come before the range."""
-    highest, start = children.max(axis=1) if len(children) else children[:, 0], 0
-    while start < len(children):
-        later = np.flatnonzero(highest[start:] >= count + start)
-        end = start + int(later[0]) if len(later) else len(children)
-        yield start, end
-        start = end
+class CutTree:
+    """How N leaves and M inner nodes lie above each other, for complete cuts.
+
+    A cut is kept as the inner nodes that are split, which are not drawn themselves: their children stand for
+    them. A node is drawn if all that is above it is split and it is not. So any choice of split nodes,
+    however old or wrong it is, makes a set of nodes of which every leaf has exactly one above it, or is it.
+
+    Args:
+        parent: (N + M,) of each node, leaves first; -1 for roots.
+        leaves: N.
+
+    Attributes:
+        leaves, inner: N and M.
+        roots: how many nodes have no parent.
+    """
+
+    def __init__(self, parent: NDArray[np.int32], leaves: int):
+        self.leaves, self.inner = leaves, len(parent) - leaves
+        self.roots = int(np.count_nonzero(parent < 0))
+        # Of each node the inner node above it; roots lie below one more, which is always split.
+        self._above = np.where(parent < 0, self.inner, parent.astype(np.int64) - leaves)
+        above = self._above[leaves:]
+        depth = np.zeros(self.inner, dtype=np.int64)
+        # Children come before their parents.
+        deeper = np.flatnonzero(above < self.inner)
+        while len(deeper):
+            found = depth[above[deeper]] + 1
+            deeper = deeper[found != depth[deeper]]
+            depth[deeper] = depth[above[deeper]] + 1
+        order = np.argsort(depth, kind="stable")
+        self._by_depth: list[Ints] = np.split(order, np.flatnonzero(np.diff(depth[order])) + 1)
+
+    def falling(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Of M values of inner nodes the least at each node and those above it."""
+        found = np.append(values, np.float32(np.inf))
+        for nodes in self._by_depth:
+            found[nodes] = np.minimum(found[nodes], found[self._above[self.leaves + nodes]])
+        return found[:-1]
+
+    def closed(self, split: Bits) -> Bits:
+        """(M,) those of the inner nodes that are split above which all are split as well."""
+        return self.falling(split.astype(np.float32)) > 0
+
+    def drawn(self, split: Bits) -> Bits:
+        """(N + M,) the nodes of the cut in which inner nodes (M,) are split, whichever they are."""
+        closed = self.closed(split)
+        found = np.append(closed, True)[self._above]
+        found[self.leaves :] &= ~closed
+        return found

@@ -14,6 +14,7 @@ from splat.model.gaussians import Gaussians
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bits = NDArray[np.bool_]
 
 
 def rows_of(tensor: torch.Tensor) -> Floats:
@@ -26,8 +27,8 @@ def quaternions_xyzw(gaussians: Gaussians) -> Floats:
     return rows_of(gaussians.rotations)[:, [1, 2, 3, 0]]
 
 
-# Sizes of sets of Gaussians, in world space, that float32 and the rasterizer's near plane are made for, and
-# how many sizes away from the world's origin they may lie.
+# Sizes of sets of Gaussians that float32 and the rasterizer's near plane are made for, and how many sizes
+# away from the world's origin they may lie.
 _LEAST_SIZE, _LARGEST_SIZE, _FARTHEST = 0.1, 1e5, 1e3
 
 
@@ -86,8 +87,8 @@ class Neighbours:
 
 
 _BITS = 20  # per axis
-# Points more than this many times the median distance away from the middle, such as the sky's, are drawn in:
-# otherwise all others would share the few cells in the middle of them.
+# Points more than this many median distances from the middle are drawn in, or all others would share few
+# cells.
 _FAR = 64.0
 # Squares of what is longer leave the range of numbers.
 _LARGEST = 1e150

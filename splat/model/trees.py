@@ -1,25 +1,120 @@
-"""The trees of a forest: built from the bottom up (Fov-GS, Algorithm 1), completed after training (3.3)."""
+"""A forest's layers and trees: built bottom up (Fov-GS, Algorithm 1), completed after training (3.3)."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.special import expit
+from scipy.special import expit, log_expit
 
 from splat.model.gaussians import (
     SH_DC,
     Blending,
     Gaussians,
+    concatenated,
     perceptual_from_radiance,
     radiance_from_perceptual,
     written,
 )
-from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers, without_parents
 from splat.model.points import Floats, Ints, Neighbours, quaternions_xyzw, remoteness, rows_of, z_curve_order
+
+NO_PARENT = -1
+BACKGROUND = -1
+# The trees are binary.
+MAX_CHILDREN = 2
+LABELS = ("parent", "semantic", "dynamic")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of a forest: N nodes, each a Gaussian; ValueError if a tensor has the wrong shape."""
+
+    gaussians: Gaussians  # N Gaussians
+    # (N,) int32, index in the next coarser layer; -1 in the coarsest, whose nodes are the roots.
+    parent: torch.Tensor
+    semantic: torch.Tensor  # (N,) int32, instance that a node belongs to; -1 for the background
+    dynamic: torch.Tensor  # (N,) bool, whether that instance moves
+
+    def __post_init__(self) -> None:
+        n = len(self.gaussians)
+        for name, tensor in self.labels():
+            if tuple(tensor.shape) != (n,):
+                raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected ({n},)")
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+    def labels(self) -> Iterator[tuple[str, torch.Tensor]]:
+        """Names and tensors of everything but the Gaussians."""
+        for name in LABELS:
+            yield name, getattr(self, name)
+
+    def select(self, keep: torch.Tensor) -> Layer:
+        """The nodes at an index or a mask (N,)."""
+        return Layer(self.gaussians.select(keep), *(tensor[keep] for _, tensor in self.labels()))
+
+    def part(self, start: int, end: int) -> Layer:
+        """The nodes from start up to end; shares this layer's memory."""
+        return Layer(self.gaussians.part(start, end), *(tensor[start:end] for _, tensor in self.labels()))
+
+    def under(self, parent: NDArray[np.integer]) -> Layer:
+        """The same nodes under other parents (N,), indices in the layer above."""
+        return replace(self, parent=torch.from_numpy(parent.astype(np.int32)))
+
+
+def static_layer(gaussians: Gaussians) -> Layer:
+    """Gaussians without parents, all of them static background."""
+    n = len(gaussians)
+    parent, semantic = (torch.full((n,), none, dtype=torch.int32) for none in (NO_PARENT, BACKGROUND))
+    return Layer(gaussians, parent, semantic, torch.zeros(n, dtype=torch.bool))
+
+
+def without_parents(layer: Layer) -> Layer:
+    """The nodes with their labels, as the only layer that there is."""
+    return replace(layer, parent=torch.full_like(layer.parent, NO_PARENT))
+
+
+def concatenated_layers(parts: list[Layer]) -> Layer:
+    """All nodes of several parts of one layer, in order."""
+    labels = (torch.cat([getattr(p, name) for p in parts]) for name in LABELS)
+    return Layer(concatenated([p.gaussians for p in parts]), *labels)
+
+
+def check_forest(layers: list[Layer]) -> None:
+    """Checks that in layers, coarsest first, each node has a parent and one or two children with its labels.
+
+    A ValueError says which node is wrong, and how. Layers are counted from 1, the coarsest.
+    """
+    if not layers:
+        raise ValueError("the forest has zero layers")
+    for number, layer in enumerate(layers, start=1):
+        if not len(layer):
+            raise ValueError(f"layer {number} holds no nodes")
+        if number == 1:
+            if bool((layer.parent != NO_PARENT).any()):
+                raise ValueError("broken tree: a node of layer 1 has a parent")
+            continue
+        above = layers[number - 2]
+        wrong = (layer.parent < 0) | (layer.parent >= len(above))
+        if bool(wrong.any()):
+            raise ValueError(f"broken tree: node {_first(wrong)} of layer {number} has no parent")
+        parent = layer.parent.long()
+        children = torch.bincount(parent, minlength=len(above))
+        for trouble, what in ((children == 0, "no child"), (children > MAX_CHILDREN, "more than 2 children")):
+            if bool(trouble.any()):
+                raise ValueError(f"broken tree: node {_first(trouble)} of layer {number - 1} has {what}")
+        other = (layer.semantic != above.semantic[parent]) | (layer.dynamic != above.dynamic[parent])
+        if bool(other.any()):
+            raise ValueError(f"labels disagree: node {_first(other)} of layer {number} and its parent")
+
+
+def _first(mask: torch.Tensor) -> int:
+    return int(torch.nonzero(mask)[0])
+
 
 _MAXIMUM_OPACITY = 0.99
 # Least ratio of the shortest axis of a merged Gaussian to its longest.
@@ -31,11 +126,12 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
     the standard deviations as sides. Mean, covariance and colour, as it is blended, are means weighted by w;
-    the opacity is (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two
-    has.
+    the opacity is (w_a + w_b) / S of the result, at most 0.99.
     """
     # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
-    weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
+    weight_a, weight_b = (
+        log_expit(rows_of(g.opacity_logits)) + _log_surface(rows_of(g.log_scales)) for g in (a, b)
+    )
     share = expit(weight_a - weight_b)
     mean_a, mean_b = rows_of(a.means), rows_of(b.means)
     mean = share[:, None] * mean_a + (1 - share)[:, None] * mean_b
@@ -63,10 +159,6 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     return merged.turning(a.turns | b.turns)
 
 
-def _log_opacity(gaussians: Gaussians) -> Floats:
-    return -np.logaddexp(0, -gaussians.opacity_logits.detach().numpy().astype(np.float64))
-
-
 def _log_surface(log_sides: Floats) -> Floats:
     """(N,) logarithm of half the surface of boxes, from those of their sides (N, 3)."""
     a, b, c = log_sides.T
@@ -74,7 +166,6 @@ def _log_surface(log_sides: Floats) -> Floats:
 
 
 def _covariance(gaussians: Gaussians) -> Floats:
-    """(N, 3, 3) covariance in world space."""
     turn = Rotation.from_quat(quaternions_xyzw(gaussians)).as_matrix().reshape(-1, 3, 3)
     scaled = turn * np.exp(rows_of(gaussians.log_scales))[:, None, :]
     return scaled @ scaled.transpose(0, 2, 1)
@@ -151,7 +242,6 @@ class _ParentSearch:
         return result
 
     def _nearest(self, child: int) -> list[int]:
-        """The nearest parents that there are so far, at most `tries`, nearest first."""
         given, near, tries = self._near_parents, self._near_children, self._tries
         # Lists of plain numbers are quicker to go through, but those of all children take much memory.
         candidates = list(zip(given.distance[child].tolist(), given.index[child].tolist(), strict=True))
@@ -193,10 +283,9 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
 
 
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
-    """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
+    """Layers, coarsest first, over the Gaussians of one trained set, which is layer L (Algorithm 1).
 
-    The layers, coarsest first, do not depend on the order of the set in memory. `pixel` is the size in world
-    space of a pixel of the training frames at their mean depth.
+    They do not depend on its order. `pixel` is the size of a pixel of training frames at their mean depth.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
     size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
@@ -223,7 +312,7 @@ def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints
 
     Layer L takes sizes below 4 pixels, layer l from 2^(L - l + 1) to 2^(L - l + 2) pixels, layer 1 all above:
     what a frame reduced by 2^(L - l) can still sample. (The printed upper bound 2^L s_L f d must read
-    2^L s_L d / f.) `pixel` is d / f, the size of a pixel of the training frames at their mean depth d.
+    2^L s_L d / f.) `pixel` is as for `build_forest`.
     """
     octave = np.floor(np.log2(np.maximum(size / pixel, 2.0))).astype(np.int64)
     return np.clip(layers + 1 - octave, 1, layers)

@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.base.frozen import Frozen, capacity
+from splat.model.points import Bits
 from splat.raster.projection import NEAR, Splats
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import GridNumbers, TileGrid
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt, UInt64
 
 # Depths are sorted by so many bits: 32 octaves from the near plane in steps of one part in 131,072. Where
 # something lies further away, the steps are up to eight times as large.
@@ -27,8 +30,7 @@ MINIMUM_ALPHA = 1 / 255
 # u = u_x dx + u_y dy and v = v_y dy, and radiance. One float is spare.
 _BLENDED = RecordLayout((8, 2), x=1, y=1, u_x=1, u_y=1, v_y=1, constant=1, red=1, green=1, blue=1)
 LOG2_E = 1.4426950408889634
-# A splat's ellipse and its box of tiles: its first column plus 2^16 times its first row, and its number of
-# columns. Nothing is spare.
+# A splat's ellipse and its box of tiles: first column plus 2^16 times the first row, and number of columns.
 _ELLIPSE = "x", "y", "x_precision", "shear", "y_precision", "opacity"
 _BOX = RecordLayout((8,), ("corner", "across"), **dict.fromkeys(_ELLIPSE, 1), corner=1, across=1)
 
@@ -42,33 +44,31 @@ class Lists:
 
     grid: GridNumbers
     pairs: int  # P
-    ranges: Any  # (2 * tiles + 2,) start and end of each tile's list
-    splat: Any  # (P,) splat of each pair, sorted by tile, then by depth
-    tile: Any  # (P,) tile of each pair, or the number of tiles
-    unsorted: Any  # (P,) position of each pair before sorting
+    ranges: UInt  # (2 * tiles + 2,) start and end of each tile's list
+    splat: UInt  # (P,) splat of each pair, sorted by tile, then by depth
+    tile: UInt  # (P,) tile of each pair, or the number of tiles
+    unsorted: UInt  # (P,) position of each pair before sorting
 
-    def of(self, arrays: Arrays, tile: Any) -> tuple[Any, Any]:
+    def of(self, arrays: Arrays, tile: UInt) -> tuple[UInt, UInt]:
         """(M,) start and end of the lists of tiles."""
-        return tuple(dr.gather(arrays.plain.ArrayXu, self.ranges, tile, shape=(2, dr.width(tile))))
+        start, end = dr.gather(arrays.plain.ArrayXu, self.ranges, tile, shape=(2, dr.width(tile)))
+        return start, end
 
 
 @dataclass(frozen=True)
 class Bins:
-    """The lists of a frame's tiles, and the runs of pairs that they were sorted from.
-
-    Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
-    """
+    """The lists of a frame's tiles, and the runs of pairs, each of one splat, that they were sorted from."""
 
     arrays: Arrays
-    grid: TileGrid  # the tiles
-    wanted: NDArray[np.bool_]  # (rows, columns) bool, the tiles that are rasterized
+    grid: TileGrid
+    wanted: Bits  # (rows, columns) the tiles that are rasterized
     lists: Lists
-    first: Any  # first, count: (S,) the run of each of S splats, which may be empty
-    count: Any
-    owner: Any  # (S,) these splats
+    first: UInt  # first, count: (S,) the run of each of S splats, which may be empty
+    count: UInt
+    owner: UInt  # (S,) these splats
 
     @cached_property
-    def tiles(self) -> Any:
+    def tiles(self) -> UInt:
         """(T,) numbers of the tiles that are rasterized, row by row."""
         return uploaded(self.arrays.plain.UInt, np.flatnonzero(self.wanted).astype(np.uint32))
 
@@ -82,14 +82,14 @@ class Bins:
 class TileBounds:
     """Tiles that each of N splats is confined to, for a frame that holds several images above each other."""
 
-    columns: Any  # (N,) width in tiles; all begin at the left edge
-    top: Any  # top, bottom: (N,) first row of tiles, and the row after the last
-    bottom: Any
+    columns: UInt  # (N,) width in tiles; all begin at the left edge
+    top: UInt  # top, bottom: (N,) first row of tiles, and the row after the last
+    bottom: UInt
 
 
 def everywhere(arrays: Arrays, grid: TileGrid) -> TileBounds:
     """All tiles of a grid."""
-    return TileBounds(arrays.constant(grid.columns), arrays.constant(0), arrays.constant(grid.rows))
+    return TileBounds(*map(arrays.constant, (grid.columns, 0, grid.rows)))
 
 
 class TileWindow(NamedTuple):
@@ -107,13 +107,7 @@ class Boxed:
 
     blended: Records  # what tiles read of them
     boxes: Records  # their ellipses, and the boxes of tiles around these
-    count: Any  # (N,) tiles in each box, 0 for a splat that is not seen
-
-
-def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxed:
-    """What is read of splats for tiles of that side, each confined to some tiles."""
-    left, top, across, down = _boxes(arrays, splats, bounds, side)
-    return Boxed(packed(arrays, splats), _packed_boxes(arrays, splats, left, top, across), across * down)
+    count: UInt  # (N,) tiles in each box, 0 for a splat that is not seen
 
 
 class Candidates:
@@ -121,9 +115,9 @@ class Candidates:
 
     Args:
         found: the splats, as boxed for the grid's tiles.
-        wanted: (rows, columns) bool, the tiles to rasterize; all by default.
+        wanted: (rows, columns) the tiles to rasterize; all by default.
         order: (N,) indices of the splats from near to far; by default they are in that order.
-        runs: of the whole grid, if they are known, as `run_lengths` gives them.
+        runs: of the whole grid, if known (`run_lengths`).
     """
 
     def __init__(
@@ -131,9 +125,9 @@ class Candidates:
         arrays: Arrays,
         found: Boxed,
         grid: TileGrid,
-        wanted: NDArray[np.bool_] | None = None,
-        order: Any = None,
-        runs: tuple[Any, Any] | None = None,
+        wanted: Bits | None = None,
+        order: UInt | None = None,
+        runs: tuple[UInt64, UInt] | None = None,
     ):
         self._arrays, self.found, self.grid = arrays, found, grid
         self.whole = TileWindow(0, 0, grid.columns, grid.rows)
@@ -153,29 +147,27 @@ class Candidates:
         tiles[inside] = self.wanted[inside]
         if not tiles.any():
             return Runs(tiles, 0)
-        arrays, found = self._arrays, self.found
-        boxes, count = found.boxes, found.count
+        boxes, count, known = self.found.boxes, self.found.count, self._known
         if window != self.whole:
-            boxes, count = _clipped(arrays, boxes, count, window)
-        known = self._known if window == self.whole else None
-        end, count = known or _run_lengths(arrays, count, self._order)
+            boxes, count = _clipped(self._arrays, boxes, count, window)
+            known = None
+        end, count = known or _run_lengths(self._arrays, count, self._order)
         # Here, the host waits.
         return Runs(tiles, int(end[len(boxes) - 1]), PairRuns(boxes, self._order, end, count))
 
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
-        arrays, grid, numbers = self._arrays, self.grid, self.grid.numbers(self._arrays)
-        if not runs.pairs:
-            UInt, ranges = arrays.plain.UInt, 2 * grid.columns * grid.rows + 2
+        arrays, grid, UInt = self._arrays, self.grid, self._arrays.plain.UInt
+        if runs.of is None or not runs.pairs:
             none = [dr.zeros(UInt, 0) for _ in range(6)]
-            empty = Lists(numbers, 0, dr.zeros(UInt, ranges), *none[:3])
+            ranges = dr.zeros(UInt, 2 * grid.columns * grid.rows + 2)
+            empty = Lists(grid.numbers(arrays), 0, ranges, *none[:3])
             return Bins(arrays, grid, runs.wanted, empty, *none[3:])
         pairs, first = self.sorted(runs)
-        lists = _listed(arrays, pairs)
-        owner = dr.arange(arrays.plain.UInt, dr.width(first)) if self._order is None else self._order
-        return Bins(arrays, grid, runs.wanted, lists, first, runs.of.count, owner)
+        owner = dr.arange(UInt, dr.width(first)) if self._order is None else self._order
+        return Bins(arrays, grid, runs.wanted, _listed(arrays, pairs), first, runs.of.count, owner)
 
-    def sorted(self, runs: Runs) -> tuple[SortedPairs, Any]:
+    def sorted(self, runs: Runs) -> tuple[SortedPairs, UInt]:
         """The candidates of runs with the indices that sort them, and the first one of each run."""
         arrays, tiles = self._arrays, self.grid.columns * self.grid.rows
         grid, size = self.grid.numbers(arrays), capacity(runs.pairs)
@@ -185,28 +177,25 @@ class Candidates:
         return SortedPairs(grid, tiles, size, key, splat, sorting), first
 
 
-def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
+def depth_order(arrays: Arrays, depth: Float, seen: Bool) -> UInt:
     """Indices of splats from near to far, those that are not seen last.
 
-    Depths that agree to one part in 100,000 count as equal, in scenes that reach beyond 32 octaves from the
-    near plane to one in 16,000; their splats keep the order of their indices.
+    Depths that agree to one part in 100,000, beyond 32 octaves in 16,000, count as equal: the sort is stable.
     """
-    bits = lambda value: dr.reinterpret_array(arrays.plain.UInt, value)  # noqa: E731
+    Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    bits = lambda value: UInt(dr.reinterpret_array(UInt, value))  # noqa: E731
     # The bits of positive floats rise with their values; the upper ones are enough.
-    steps = dr.select(seen, bits(dr.maximum(depth, NEAR)) - bits(arrays.plain.Float(NEAR)), 0)
+    steps = dr.select(seen, bits(dr.maximum(depth, NEAR)) - bits(Float(NEAR)), 0)
     last = (1 << _DEPTH_BITS) - 1
-    shift, farthest = arrays.plain.UInt(_DEPTH_SHIFT), dr.max(steps)
+    shift, farthest = UInt(_DEPTH_SHIFT), dr.max(steps)
     for further in range(3):
-        shift += dr.select(farthest >> (_DEPTH_SHIFT + further) >= last, arrays.plain.UInt(1), 0)
+        shift += dr.select(farthest >> (_DEPTH_SHIFT + further) >= last, UInt(1), 0)
     # Not a number is beyond all.
     return arrays.argsort(dr.select(seen, dr.minimum(steps >> shift, last - 1), last), last + 1)
 
 
-def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> tuple[Any, Any, Any, Any]:
-    """Tiles that the box around each splat's visible ellipse touches, UInts of width N.
-
-    Their first column and row, and numbers of columns and rows, 0 for a splat that is not seen.
-    """
+def boxed(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> Boxed:
+    """What is read of splats for tiles of that side, each confined to some tiles."""
     Int, UInt = arrays.plain.Int, arrays.plain.UInt
     # exp(-q / 2) opacity = 1/255 is the ellipse q = 2 ln(255 opacity); the covariance's diagonal bounds it.
     level = 2 * dr.log(dr.maximum(splats.opacity * (1 / MINIMUM_ALPHA), 1))
@@ -219,12 +208,12 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> tup
     y0 = Int(dr.floor(in_tiles(splats.y - reach_y, bounds.top, bounds.bottom)))
     x1 = Int(dr.ceil(in_tiles(splats.x + reach_x, 0, bounds.columns)))
     y1 = Int(dr.ceil(in_tiles(splats.y + reach_y, bounds.top, bounds.bottom)))
-    # One number that is none, or infinite, and the splat touches no tile: not even a weight of 0 would keep
-    # it from a pixel there.
+    # With a number that is none, or infinite, a splat touches no tile: no weight keeps it from a pixel.
     numbers = reach_x + reach_y + splats.x + splats.y + splats.red + splats.green + splats.blue
     seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(numbers)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)
-    return UInt(x0), UInt(y0), across, down
+    boxes = _packed_boxes(arrays, splats, UInt(x0), UInt(y0), across)
+    return Boxed(packed(arrays, splats), boxes, across * down)
 
 
 def packed(arrays: Arrays, splats: Splats) -> Records:
@@ -238,13 +227,14 @@ def packed(arrays: Arrays, splats: Splats) -> Records:
     return _BLENDED.pack(arrays, **same, u_x=u_x, u_y=u_y, v_y=v_y, constant=constant)
 
 
-def _packed_boxes(arrays: Arrays, ellipse: Any, left: Any, top: Any, across: Any) -> Records:
-    """Records of boxes and of what lies in them, splats or such records as they are read."""
+def _packed_boxes(
+    arrays: Arrays, ellipse: Splats | SimpleNamespace, left: UInt, top: UInt, across: UInt
+) -> Records:
     same = {name: getattr(ellipse, name) for name in _ELLIPSE}
     return _BOX.pack(arrays, **same, corner=left | top << 16, across=across)
 
 
-def _clipped(arrays: Arrays, boxes: Records, count: Any, window: TileWindow) -> tuple[Records, Any]:
+def _clipped(arrays: Arrays, boxes: Records, count: UInt, window: TileWindow) -> tuple[Records, UInt]:
     """The parts of boxes with so many tiles each inside a window, and their numbers of tiles."""
     box = boxes.at(dr.arange(arrays.plain.UInt, len(boxes)))
     at_left, at_top = box.corner & 0xFFFF, box.corner >> 16
@@ -264,25 +254,22 @@ class PairRuns:
     """The runs of candidates of S splats on the device."""
 
     boxes: Records  # of all splats
-    order: Any  # (S,) the splats; None for all of them as they are
-    end: Any  # UInt64 (S,), candidates up to the end of each one's run
-    count: Any  # (S,), candidates in it; some are empty
+    order: UInt | None  # (S,) the splats; None for all of them as they are
+    end: UInt64  # (S,) candidates up to the end of each one's run
+    count: UInt  # (S,) candidates in it; some are empty
 
 
 @dataclass(frozen=True)
 class Runs:
     """Candidate pairs of splat and tile in a window: a run per splat, one tile after another."""
 
-    wanted: NDArray[np.bool_]  # (rows, columns) bool, the window's tiles that are rasterized
+    wanted: Bits  # (rows, columns) the window's tiles that are rasterized
     pairs: int  # number of candidates
-    of: Any = None  # their `PairRuns`, if there are any
+    of: PairRuns | None = None  # if there are any
 
 
-def run_lengths(arrays: Arrays, count: Any, order: Any) -> tuple[Any, Any]:
-    """`end` and `count` of `PairRuns`.
-
-    In 64 bits: many splats on a large frame are more pairs than 32 bits count.
-    """
+def run_lengths(arrays: Arrays, count: UInt, order: UInt | None) -> tuple[UInt64, UInt]:
+    """`end` and `count` of `PairRuns`, in 64 bits: there may be more pairs than 32 bits count."""
     if order is not None:
         count = dr.gather(arrays.plain.UInt, count, order)
     wide = arrays.plain.UInt64(count)
@@ -292,19 +279,13 @@ def run_lengths(arrays: Arrays, count: Any, order: Any) -> tuple[Any, Any]:
 
 
 def keys(
-    arrays: Arrays,
-    grid: GridNumbers,
-    runs: PairRuns,
-    wanted: Any,
-    pairs: Any,
-    size: int,
-) -> tuple[Any, Any, Any]:
+    arrays: Arrays, grid: GridNumbers, runs: PairRuns, wanted: Bool | None, pairs: UInt, size: int
+) -> tuple[UInt, UInt, UInt]:
     """For each of `size` candidates the key that it is sorted by and its splat; the first one of each run.
 
     The key is the number of the tile, or that of all tiles for a candidate that need not be drawn, and for
-    what lies behind the last one. `wanted` is the mask of tiles, or None, and `pairs` the number of
-    candidates, both in memory. Where there are more pairs than 32 bits count, first ones wrap: whoever asks
-    must split the window.
+    what lies behind the last one. `wanted` is the mask of tiles, and `pairs` the number of candidates. Where
+    there are more pairs than 32 bits count, first ones wrap: whoever asks must split the window.
     """
     UInt = arrays.plain.UInt
     # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
@@ -329,14 +310,14 @@ def keys(
     return key, splat, first
 
 
-def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, side: int) -> Any:
+def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: UInt, tile_y: UInt, side: int) -> Bool:
     """Whether a splat is visible anywhere between the outermost pixel centres of a tile.
 
-    The box of a long diagonal splat holds many tiles that its ellipse misses. The largest value of the
-    Gaussian over a rectangle lies at its centre or on one of the two edges next to the centre.
+    The largest value of the Gaussian over a rectangle lies at its centre or on one of the two edges next to
+    the centre.
     """
-    Float = arrays.plain.Float
-    left, top = Float(tile_x * side) + 0.5 - splat.x, Float(tile_y * side) + 0.5 - splat.y
+    number = arrays.plain.Float
+    left, top = number(tile_x * side) + 0.5 - splat.x, number(tile_y * side) + 0.5 - splat.y
     right, bottom = left + (side - 1), top + (side - 1)
     near_x, near_y = dr.clip(0, left, right), dr.clip(0, top, bottom)
     # Where the Gaussian is largest on a column, and on a row.
@@ -346,7 +327,7 @@ def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, s
     along_y = dr.clip(slope * near_x, top, bottom)
     along_x = dr.clip(-splat.shear * near_y, left, right)
 
-    def quadratic(u: Any, v: Any) -> Any:
+    def quadratic(u: Float, v: Float) -> Float:
         t = dr.fma(splat.shear, v, u)
         return splat.x_precision * t * t + splat.y_precision * v * v
 
@@ -362,9 +343,9 @@ class SortedPairs:
     grid: GridNumbers
     tiles: int
     pairs: int  # P
-    key: Any  # key, splat: (P,) as `keys` gives them
-    splat: Any
-    sorting: Any  # (P,) indices
+    key: UInt  # key, splat: (P,) as `keys` gives them
+    splat: UInt
+    sorting: UInt  # (P,) indices
 
 
 def lists(arrays: Arrays, of: SortedPairs) -> Lists:

@@ -7,9 +7,6 @@ alpha_m = min(0.99, opacity exp(-d^T Sigma'^-1 d / 2)), or 0 where that is below
 
 A block stops once all of its pixels transmit less than 1e-4: what lies behind could change them by less
 than 1e-4 of its radiance.
-
-On the CPU, each lane goes by itself from one splat that its block shows to the next. On a GPU, lanes stay
-together.
 """
 
 from __future__ import annotations
@@ -18,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -26,17 +23,13 @@ import numpy as np
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen
 from splat.raster.binning import LOG2_E, MINIMUM_ALPHA, Bins, Lists
-from splat.raster.blocks import (
-    CHANNELS,
-    MINIMUM_TRANSMITTANCE,
-    Blocks,
-    Shown,
-    exp2,
-    records_of_pairs,
-)
+from splat.raster.blocks import CHANNELS, MINIMUM_TRANSMITTANCE, Blocks, Shown, exp2, records_of_pairs
 from splat.raster.projection import Splats
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import LANES_ACROSS, TileGrid
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt
 
 MAXIMUM_ALPHA = 0.99
 
@@ -53,8 +46,8 @@ class Compositing:
 
 
 STANDARD = Compositing()
-# To find out which blocks show a pair costs 1/40 of blending it. Where tiles have more pairs than this on
-# average, blocks may well stop long before the end, and then it does not pay.
+# Finding which blocks show a pair costs 1/40 of blending it. It does not pay where tiles have more pairs than
+# this on average: blocks stop long before the end.
 _LONG_LIST = 256
 
 
@@ -63,17 +56,12 @@ def rasterize(
     blended: Records,
     bins: Bins,
     split: ImageSplit,
-    images: list[Any] | None = None,
+    images: list[Float] | None = None,
     rules: Compositing = STANDARD,
-) -> list[Any]:
+) -> list[Float]:
     """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
-    Args:
-        blended: the splats, as `Boxed` has them.
-        split: images of all rows of tiles, which lie one above the other.
-        images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the
-            top; new ones by default.
-        rules: how splats are composited.
+    The tiles are drawn into images, flat: padded height x padded width x 4, rows from the top; or new ones.
     """
     size = bins.lists.pairs
     if not size:
@@ -85,7 +73,7 @@ def rasterize(
 
 
 def stays_together(arrays: Arrays) -> bool:
-    """Whether lanes do not go by themselves."""
+    """Whether lanes do not go by themselves, one from splat to splat that its block shows, as on a CPU."""
     return arrays.backend != "llvm"
 
 
@@ -100,7 +88,7 @@ class ImageSplit:
 
     heights: list[int]  # rows of tiles of each
     columns: int  # of tiles
-    rows: list[Any]  # UInts of width 1: first row of pixels of each, and of what would follow
+    rows: list[UInt]  # of width 1: first row of pixels of each, and of what would follow
     side: int  # of a tile in pixels
 
     @staticmethod
@@ -110,7 +98,7 @@ class ImageSplit:
         rows = [arrays.constant(row) for row in above.tolist()]
         return ImageSplit(list(heights), grid.columns, rows, grid.side)
 
-    def new(self, arrays: Arrays, make: Callable[..., Any]) -> list[Any]:
+    def new(self, arrays: Arrays, make: Callable[..., Float]) -> list[Float]:
         """New images, made by `dr.zeros` or `dr.empty`."""
         row = self.columns * self.side**2 * CHANNELS
         return [make(arrays.plain.Float, height * row) for height in self.heights]
@@ -122,15 +110,15 @@ def blend(
     lists: Lists,
     split: ImageSplit,
     jumping: bool,
-    images: list[Any] | None = None,
-    tiles: Any = None,
+    images: list[Float] | None = None,
+    tiles: UInt | None = None,
     rules: Compositing = STANDARD,
-) -> list[Any]:
+) -> list[Float]:
     """Draws the lists of all tiles into new images, or those of some tiles into given ones.
 
     `jumping` says whether lanes jump over what they do not show.
     """
-    Float = arrays.plain.Float
+    plain = arrays.plain
     if images is None:
         # They need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
         images = split.new(arrays, dr.empty)
@@ -139,10 +127,12 @@ def blend(
     block = Blocks.of_tiles(arrays, lists, count, tiles)
     shown = Shown(arrays, lists, records) if jumping else None
 
-    def following(i: Any) -> Any:
+    def following(i: UInt) -> UInt:
         return i if shown is None else shown.following(i, block.last, block.number)
 
-    def step(i: Any, transmittance: list[Any], colour: list[Any]) -> tuple[Any, list[Any], list[Any]]:
+    def step(
+        i: UInt, transmittance: list[Float], colour: list[Float]
+    ) -> tuple[UInt, list[Float], list[Float]]:
         splat = records.at(i)
         radiance = splat.red, splat.green, splat.blue
         transmittance, colour = list(transmittance), list(colour)
@@ -155,17 +145,15 @@ def blend(
         return following(i + 1), transmittance, colour
 
     # Built one by one: [Float(0)] * n would be a single accumulator n times.
-    state = (
-        following(block.first),
-        [Float(1) for _ in range(block.pixels)],
-        [Float(0) for _ in range(3 * block.pixels)],
-    )
-    _, transmittance, colour = dr.while_loop(
-        state, lambda i, transmittance, colour: block.is_active(i, transmittance), step, mode="symbolic"
-    )
+    light = [plain.Float(1) for _ in range(block.pixels)]
+    black = [plain.Float(0) for _ in range(3 * block.pixels)]
+    is_active = lambda i, transmittance, colour: block.is_active(i, transmittance)  # noqa: E731
+    state = (following(block.first), light, black)
+    _, transmittance, colour = dr.while_loop(state, is_active, step, mode="symbolic")
     left = [dr.abs(value) for value in transmittance] if rules.ends_pixels else transmittance
     pixels = [[*colour[3 * p : 3 * p + 3], 1 - left[p]] for p in range(block.pixels)]
-    rows, width, within = split.rows, lists.grid.width, [True]
+    rows, width = split.rows, lists.grid.width
+    within: list[Bool | bool] = [True]
     if len(images) > 1:
         within = [(block.y >= top) & (block.y < bottom) for top, bottom in pairwise(rows)]
     for target, first in block.chunks(width):
@@ -179,7 +167,7 @@ def blend(
 _blend = Frozen(blend, by_size=True)
 
 
-def _composited(rules: Compositing, alpha: Any, transmittance: Any) -> tuple[Any, Any, Any]:
+def _composited(rules: Compositing, alpha: Float, transmittance: Float) -> tuple[Float, Float, Bool | bool]:
     """Weight of a splat in pixels, their transmittance behind it, and whether it counts.
 
     `transmittance` is that in front of it. Where a pixel has ended, it is negative: its absolute value stays
@@ -193,15 +181,14 @@ def _composited(rules: Compositing, alpha: Any, transmittance: Any) -> tuple[Any
     return dr.select(counts, weight, 0), dr.select(counts, behind, -dr.abs(transmittance)), counts
 
 
-# Sums per pair: the six moments and the three channels of `_block_sums`, and two absolute values if they are
-# wanted. In packets, to which the lanes of a vector add one after the other; or each by itself, with atomic
-# additions.
+# Sums per pair: those of `_block_sums`. In packets, to which the lanes of a vector add one after the other;
+# or each by itself, with atomic additions.
 _SUMS, _ABSOLUTE = 9, 2
 _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
 _WITH_ABSOLUTE = RecordLayout((8, 4), sums=_SUMS + _ABSOLUTE)
 
 
-def no_sums(arrays: Arrays, splats: int, rules: Compositing = STANDARD) -> list[Any]:
+def no_sums(arrays: Arrays, splats: int, rules: Compositing = STANDARD) -> list[Float]:
     """What `sums_of_bins` adds to first, of so many splats."""
     return [dr.zeros(arrays.plain.Float, splats) for _ in range(_SUMS + _ABSOLUTE * rules.absolute)]
 
@@ -210,19 +197,17 @@ def sums_of_bins(
     arrays: Arrays,
     blended: Records,
     bins: Bins,
-    image: Any,
-    gradient: Any,
-    sums: list[Any] | None = None,
+    image: Float,
+    gradient: Float,
+    sums: list[Float] | None = None,
     rules: Compositing = STANDARD,
-) -> list[Any]:
+) -> list[Float]:
     """What the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
     Args:
-        blended, bins, image: as given to and returned by `rasterize`.
-        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
-            opacity is taken to be zero unless the rules say that it is given.
+        blended, bins, image, rules: as given to and returned by `rasterize`.
+        gradient: of the loss by the image; that by the opacity counts only if the rules say so.
         sums: those over tiles further up, and to the left in the same row, to which they are added.
-        rules: those that the image was rendered by.
     """
     if not bins.lists.pairs:
         return sums or no_sums(arrays, len(blended), rules)
@@ -237,17 +222,17 @@ class WalkedLists:
 
     blended: Records
     lists: Lists
-    tiles: Any  # (T,) numbers of the tiles
-    first: Any  # first, count, owner: as in `Bins`
-    count: Any
-    owner: Any
+    tiles: UInt  # (T,) numbers of the tiles
+    first: UInt  # first, count, owner: as in `Bins`
+    count: UInt
+    owner: UInt
     alone: bool  # whether lanes go by themselves
     rules: Compositing
 
 
 def sums_of_lists(
-    arrays: Arrays, walked: WalkedLists, image: Any, gradient: Any, sums: list[Any] | None = None
-) -> list[Any]:
+    arrays: Arrays, walked: WalkedLists, image: Float, gradient: Float, sums: list[Float] | None = None
+) -> list[Float]:
     """Nine (N,) sums, or eleven, over the lists of some tiles, added to earlier ones if there are any.
 
     Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
@@ -267,12 +252,9 @@ def sums_of_lists(
         # A vector has four lanes or more and so all those of a tile: two threads never add to a pair.
         lane = dr.arange(UInt, dr.width(walked.tiles) * LANES_ACROSS)
         tile, column = dr.gather(UInt, walked.tiles, lane // LANES_ACROSS), lane % LANES_ACROSS
-        _, slots = dr.while_loop(
-            (dr.zeros(UInt, dr.width(lane)), slots),
-            lambda row, slots: row < LANES_ACROSS,
-            lambda row, slots: (row + 1, walk.added(tile, row * LANES_ACROSS + column, slots)),
-            mode="symbolic",
-        )
+        is_left = lambda row, slots: row < LANES_ACROSS  # noqa: E731
+        step = lambda row, slots: (row + 1, walk.added(tile, row * LANES_ACROSS + column, slots))  # noqa: E731
+        _, slots = dr.while_loop((dr.zeros(UInt, dr.width(lane)), slots), is_left, step, mode="symbolic")
     else:
         lane = dr.arange(UInt, dr.width(walked.tiles) * LANES_ACROSS**2)
         tile = dr.gather(UInt, walked.tiles, lane // LANES_ACROSS**2)
@@ -287,93 +269,78 @@ _sums = Frozen(sums_of_lists, by_size=True)
 
 @dataclass(frozen=True)
 class _Walk:
-    """A walk along the lists of tiles.
-
-    On a GPU, where lanes stay together, they add in their warp.
-    """
-
     arrays: Arrays  # this, lists, image, gradient: as for `sums_of_lists`
     lists: Lists
     records: Records  # the splats, per pair
-    image: Any
-    gradient: Any
+    image: Float
+    gradient: Float
     # Which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay together.
     shown: Shown | None
     rules: Compositing
 
     @property
     def layout(self) -> RecordLayout:
-        """How the sums of a pair lie in memory."""
         if self.rules.absolute:
             return _WITH_ABSOLUTE
         return _ONE_BY_ONE if self.shown is None else _IN_PACKETS
 
-    def added(self, tile: Any, number: Any, slots: list[Any]) -> list[Any]:
+    def added(self, tile: UInt, number: UInt, slots: list[Float]) -> list[Float]:
         """Adds what the blocks with a number in tiles contribute to the sums of pairs."""
         arrays, lists = self.arrays, self.lists
-        Float, UInt = arrays.plain.Float, arrays.plain.UInt
+        plain = arrays.plain
         block, width = Blocks(arrays, lists, tile, number), lists.grid.width
         channels = CHANNELS if self.rules.by_opacity else CHANNELS - 1
         flow, final = (block.loaded(image, width, channels) for image in (self.gradient, self.image))
         behind = [sum(f * v for f, v in zip(flow[p], final[p], strict=True)) for p in range(block.pixels)]
 
-        def step(i: Any, transmittance: list[Any], behind: list[Any], slots: list[Any]) -> tuple[Any, ...]:
+        def step(
+            i: UInt, transmittance: list[Float], behind: list[Float], slots: list[Float]
+        ) -> tuple[UInt, list[Float], list[Float], list[Float]]:
             transmittance, behind = list(transmittance), list(behind)
             sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind, self.rules)
-            self._add(sums, dr.gather(UInt, lists.unsorted, i), slots)
+            sums += [plain.Float(0) for _ in range(self.layout.spare)]
+            pair = dr.gather(plain.UInt, lists.unsorted, i)
+            for packet, slot in zip(self.layout.packets, slots, strict=True):
+                values = arrays.plain.ArrayXf(sums[packet.floats])
+                dr.scatter_reduce(dr.ReduceOp.Add, slot, values, pair, mode=mode)
             return following(i + 1), transmittance, behind, slots
 
-        def following(i: Any) -> Any:
+        def following(i: UInt) -> UInt:
             return i if self.shown is None else self.shown.following(i, block.last, number)
 
-        state = (following(block.first), [Float(1) for _ in range(block.pixels)], behind, slots)
-        _, _, _, slots = dr.while_loop(
-            state,
-            lambda i, transmittance, behind, slots: block.is_active(i, transmittance),
-            step,
-            mode="symbolic",
-        )
+        # Packets are read, added to and written lane by lane, also where lanes have the same pair.
+        mode = dr.ReduceMode.Local if self.shown is None else dr.ReduceMode.NoConflicts
+        state = (following(block.first), [plain.Float(1) for _ in range(block.pixels)], behind, slots)
+        is_active = lambda i, transmittance, behind, slots: block.is_active(i, transmittance)  # noqa: E731
+        *_, slots = dr.while_loop(state, is_active, step, mode="symbolic")
         return slots
-
-    def _add(self, sums: list[Any], pair: Any, slots: list[Any]) -> None:
-        """Adds the sums of each lane to those of a pair."""
-        mode = dr.ReduceMode.Local
-        if self.shown is not None:
-            # Packets are read, added to and written lane by lane, also where lanes have the same pair.
-            mode = dr.ReduceMode.NoConflicts
-        sums = sums + [self.arrays.plain.Float(0) for _ in range(self.layout.spare)]
-        for packet, slot in zip(self.layout.packets, slots, strict=True):
-            values = self.arrays.plain.ArrayXf(sums[packet.floats])
-            dr.scatter_reduce(dr.ReduceOp.Add, slot, values, pair, mode=mode)
 
 
 def _block_sums(
     arrays: Arrays,
     block: Blocks,
     splat: SimpleNamespace,
-    flow: list[list[Any]],
-    transmittance: list[Any],
-    behind: list[Any],
+    flow: list[list[Float]],
+    transmittance: list[Float],
+    behind: list[Float],
     rules: Compositing,
-) -> list[Any]:
+) -> list[Float]:
     """Sums over a block's pixels for one splat, and the step past that splat.
 
     They are of dL/dpower times 1, u, v, u^2, u v, v^2, where power = ln alpha and u and v are those of
     `Blocks.log2_alphas`, of dL/dcolour times the weight of the pixel, three channels, and, if wanted, of
-    |dL/dx| and |dL/dy|, x and y the splat's centre, as far as they come from the pixel.
+    |dL/dx| and |dL/dy|, x and y the splat's centre.
 
     Args:
-        flow: derivative of the loss by the radiance, three channels per pixel, and by the opacity if the
-            rules have it.
+        flow: derivatives of the loss by each pixel's channels.
         transmittance: per pixel in front of the splat; on return, behind it.
         behind: per pixel the light from the splat and from behind it, weighted by `flow`; on return, only
             that from behind it.
     """
     # What is opaque adds to opacity as what shines to radiance.
     radiance = [splat.red, splat.green, splat.blue, 1][: len(flow[0])]
-    absolute = [arrays.plain.Float(0) for _ in range(_ABSOLUTE * rules.absolute)]
-    moments = [arrays.plain.Float(0) for _ in range(6)]
-    colours = [arrays.plain.Float(0) for _ in range(3)]
+    sizes = 6, 3, _ABSOLUTE * rules.absolute
+    moments, colours, absolute = ([arrays.plain.Float(0) for _ in range(size)] for size in sizes)
     for pixel, (power, u, v) in enumerate(block.log2_alphas(splat)):
         unclamped = exp2(arrays, power)
         alpha = dr.minimum(unclamped, rules.highest_alpha)
@@ -400,27 +367,28 @@ def _block_sums(
     return moments + colours + absolute
 
 
-def _sum_runs(arrays: Arrays, walked: WalkedLists, slots: Records, sums: list[Any]) -> list[Any]:
+def _sum_runs(arrays: Arrays, walked: WalkedLists, slots: Records, sums: list[Float]) -> list[Float]:
     """(N,) sums over each splat's pairs, added to earlier ones always in the same order."""
-    Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    plain = arrays.plain
 
-    def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
+    def add(i: UInt, sums: list[Float]) -> tuple[UInt, list[Float]]:
         return i + 1, [s + further for s, further in zip(sums, slots.at(i).sums, strict=True)]
 
     end = walked.first + walked.count
-    state = (UInt(walked.first), [dr.gather(Float, values, walked.owner) for values in sums])
-    _, added = dr.while_loop(state, lambda i, sums: i < end, add, mode="symbolic")
+    state = (plain.UInt(walked.first), [dr.gather(plain.Float, values, walked.owner) for values in sums])
+    is_left = lambda i, sums: i < end  # noqa: E731
+    _, added = dr.while_loop(state, is_left, add, mode="symbolic")
     dr.eval(added)
     totals = []
     for values, earlier in zip(added, sums, strict=True):
-        total = Float(earlier)
+        total = plain.Float(earlier)
         dr.scatter(total, values, walked.owner, mode=dr.ReduceMode.Permute)
         totals.append(total)
     dr.eval(totals)
     return totals
 
 
-def gradients_from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
+def gradients_from_sums(splats: Splats, sums: list[Float]) -> list[Float]:
     """Gradients by the splats' parameters from the sums over all tiles, in the order of `_block_sums`.
 
     power = ln opacity - (x_precision t^2 + y_precision dy^2) / 2 with t = dx + shear dy, and u^2 and v^2 are

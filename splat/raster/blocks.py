@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import reduce
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
@@ -15,10 +15,12 @@ from splat.raster.binning import MINIMUM_ALPHA, Lists
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import LANES_ACROSS, GridNumbers
 
-# A block stops once every pixel transmits less: what lies behind changes them by at most this share of its
-# radiance.
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt
+
+# A block stops once every pixel transmits less: what lies behind changes them by this share at most.
 MINIMUM_TRANSMITTANCE = 1e-4
-# A pixel of the image buffer. Nothing is spare.
+# A pixel of the image buffer.
 PIXEL = RecordLayout((4,), red=1, green=1, blue=1, opacity=1)
 CHANNELS = 4
 # log2 of the smallest alpha, less what rounding may make of it.
@@ -41,7 +43,7 @@ class Blocks:
         first, last: range of each lane in the lists; `last` is exclusive.
     """
 
-    def __init__(self, arrays: Arrays, lists: Lists, tile: Any, number: Any):
+    def __init__(self, arrays: Arrays, lists: Lists, tile: UInt, number: UInt):
         Float = arrays.plain.Float
         self._arrays, self.number = arrays, number
         self.side = lists.grid.side // LANES_ACROSS
@@ -53,7 +55,7 @@ class Blocks:
         self.first, self.last = lists.of(arrays, tile)
 
     @staticmethod
-    def of_tiles(arrays: Arrays, lists: Lists, count: int, tiles: Any = None) -> Blocks:
+    def of_tiles(arrays: Arrays, lists: Lists, count: int, tiles: UInt | None = None) -> Blocks:
         """A lane per block, the 16 of a tile side by side, of the first tiles, or of those given."""
         UInt = arrays.plain.UInt
         lane = dr.arange(UInt, count * LANES_ACROSS**2)
@@ -62,15 +64,12 @@ class Blocks:
             tile = dr.gather(UInt, tiles, tile)
         return Blocks(arrays, lists, tile, lane % LANES_ACROSS**2)
 
-    def is_active(self, i: Any, transmittance: Sequence[Any]) -> Any:
+    def is_active(self, i: UInt, transmittance: Sequence[Float]) -> Bool:
         """Whether splats are left and any pixel of the block still transmits light."""
         return (i < self.last) & (reduce(dr.maximum, transmittance) > MINIMUM_TRANSMITTANCE)
 
-    def log2_alphas(self, splat: SimpleNamespace) -> list[tuple[Any, Any, Any]]:
-        """For each pixel of the block, row by row, log2 of a splat's alpha, not yet clamped, and its u and v.
-
-        Whatever the size of the splat, u and v are less than 3 where it is visible.
-        """
+    def log2_alphas(self, splat: SimpleNamespace) -> list[tuple[Float, Float, Float]]:
+        """For each pixel, row by row, log2 of a splat's alpha, not yet clamped, and its u and v."""
         columns = [splat.u_x * (self.centre_x + float(k) - splat.x) for k in range(self.side)]
         found = []
         for row in range(self.side):
@@ -83,16 +82,16 @@ class Blocks:
                 found.append((dr.fma(-u, u, base), u, v))
         return found
 
-    def chunks(self, width: Any) -> list[tuple[Any, int]]:
+    def chunks(self, width: UInt) -> list[tuple[UInt, int]]:
         """Pairs of the block's pixels: position in an image of that width, in pairs, and first pixel."""
         return [
             (((self.y + pixel // self.side) * width + self.x + pixel % self.side) // 2, pixel)
             for pixel in range(0, self.pixels, 2)
         ]
 
-    def loaded(self, image: Any, width: Any, channels: int) -> list[list[Any]]:
+    def loaded(self, image: Float, width: UInt, channels: int) -> list[list[Float]]:
         """For each pixel of the block the first channels of a flat image of that width in pixels."""
-        values: list[list[Any]] = []
+        values: list[list[Float]] = []
         for target, _ in self.chunks(width):
             two = self._arrays.packet(image, _CHUNK, target)
             values += [[two[first + c] for c in range(channels)] for first in (0, CHANNELS)]
@@ -106,49 +105,46 @@ class Shown:
         self._arrays = arrays
         self._words = _by_block(arrays, _shown_in(arrays, lists, records), lists)
 
-    def following(self, i: Any, last: Any, number: Any) -> Any:
-        """The first pair from `i` on that a block shows; `last` or above where none is left.
+    def following(self, i: UInt, last: UInt, number: UInt) -> UInt:
+        """The first pair from `i` on that a block shows; `last`, the end of its list, or above if none is."""
+        plain = self._arrays.plain
 
-        Of each lane, `i` is a pair of its tile's list or `last`, the end of that list, and `number` that of
-        its block in the tile, row by row.
-        """
-        UInt = self._arrays.plain.UInt
+        def word(i: UInt) -> UInt:
+            return dr.gather(plain.UInt, self._words, (i >> 5) * LANES_ACROSS**2 + number, i < last)
 
-        def word(i: Any) -> Any:
-            return dr.gather(UInt, self._words, (i >> 5) * LANES_ACROSS**2 + number, i < last)
-
-        def step(i: Any, left: Any) -> tuple[Any, Any]:
+        def step(i: UInt, left: UInt) -> tuple[UInt, UInt]:
             following = (i | 31) + 1
             return following, word(following)
 
-        state = (UInt(i), word(i) >> (i & 31))
-        i, left = dr.while_loop(state, lambda i, left: (left == 0) & (i < last), step, mode="symbolic")
+        is_empty = lambda i, left: (left == 0) & (i < last)  # noqa: E731
+        i, left = dr.while_loop((plain.UInt(i), word(i) >> (i & 31)), is_empty, step, mode="symbolic")
         return i + dr.tzcnt(left)
 
 
-def _by_block(arrays: Arrays, shown: Any, lists: Lists) -> Any:
+def _by_block(arrays: Arrays, shown: UInt, lists: Lists) -> UInt:
     """From per pair a bit for each of 16 blocks, per 32 pairs and block a bit for each of the pairs."""
-    UInt, ArrayXu = arrays.plain.UInt, arrays.plain.ArrayXu
+    plain = arrays.plain
     pairs, _ = lists.of(arrays, lists.grid.tiles)
-    group = dr.arange(UInt, -(-dr.width(shown) // 32))
+    group = dr.arange(plain.UInt, -(-dr.width(shown) // 32))
 
-    def step(k: Any, words: list[Any]) -> tuple[Any, list[Any]]:
+    def step(k: UInt, words: list[UInt]) -> tuple[UInt, list[UInt]]:
         pair = group * 32 + k
-        blocks = dr.gather(UInt, shown, pair, pair < pairs)
+        blocks = dr.gather(plain.UInt, shown, pair, pair < pairs)
         return k + 1, [word | (blocks >> number & 1) << k for number, word in enumerate(words)]
 
-    state = (dr.zeros(UInt, dr.width(group)), [UInt(0) for _ in range(LANES_ACROSS**2)])
-    _, words = dr.while_loop(state, lambda k, words: k < 32, step, mode="symbolic")
-    table = dr.empty(UInt, dr.width(group) * LANES_ACROSS**2)
+    state = (dr.zeros(plain.UInt, dr.width(group)), [plain.UInt(0) for _ in range(LANES_ACROSS**2)])
+    is_left = lambda k, words: k < 32  # noqa: E731
+    _, words = dr.while_loop(state, is_left, step, mode="symbolic")
+    table = dr.empty(plain.UInt, dr.width(group) * LANES_ACROSS**2)
     for half in range(2):
-        packet = ArrayXu(words[8 * half : 8 * half + 8])
+        packet = plain.ArrayXu(words[8 * half : 8 * half + 8])
         dr.scatter(table, packet, group * 2 + half, mode=dr.ReduceMode.Permute)
     dr.eval(table)
     return table
 
 
-def _shown_in(arrays: Arrays, lists: Lists, records: Records) -> Any:
-    """(P,) UInt, per pair one bit for each block of the tile: whether the splat may be visible there.
+def _shown_in(arrays: Arrays, lists: Lists, records: Records) -> UInt:
+    """(P,) per pair one bit for each block of the tile: whether the splat may be visible there.
 
     The ellipse in which a splat is visible is cut into bands, one per row of blocks, from the first to the
     last row of pixel centres. A block shows the splat if it meets the part of the ellipse in its band.
@@ -182,7 +178,7 @@ def _shown_in(arrays: Arrays, lists: Lists, records: Records) -> Any:
     return shown
 
 
-def first_pixel(grid: GridNumbers, tile: Any) -> tuple[Any, Any]:
+def first_pixel(grid: GridNumbers, tile: UInt) -> tuple[UInt, UInt]:
     """Column and row of the first pixel of tiles."""
     row = tile // grid.columns
     return (tile - row * grid.columns) * grid.side, row * grid.side
@@ -196,7 +192,7 @@ def records_of_pairs(blended: Records, lists: Lists) -> Records:
     return per_pair
 
 
-def exp2(arrays: Arrays, power: Any) -> Any:
+def exp2(arrays: Arrays, power: Float) -> Float:
     """2^power for power <= 0; 2^-16, far under the smallest alpha, for any power below -16."""
     Float, Int = arrays.plain.Float, arrays.plain.Int
     clamped = dr.maximum(power, -16.0)
@@ -205,5 +201,5 @@ def exp2(arrays: Arrays, power: Any) -> Any:
     value = dr.fma(fraction, _EXP2[5], _EXP2[4])
     for coefficient in _EXP2[3::-1]:
         value = dr.fma(fraction, value, coefficient)
-    exponent = dr.reinterpret_array(Int, shifted) << 23
-    return dr.reinterpret_array(Float, dr.reinterpret_array(Int, value) + exponent)
+    bits, exponent = (Int(dr.reinterpret_array(Int, number)) for number in (value, shifted))
+    return Float(dr.reinterpret_array(Float, bits + (exponent << 23)))

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.autograd.function import once_differentiable
+from torch.autograd.function import FunctionCtx, once_differentiable
 from torch.nn import functional
 
 from compose import LLVM
@@ -42,6 +42,9 @@ from splat.raster.projection import (
     sh_basis,
 )
 from splat.raster.tiles import TileGrid
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # Which row of Gaussians is that of logits of opacity, and one that is invisible.
 _LOGITS, _INVISIBLE = 10, -80.0
@@ -139,16 +142,20 @@ def render_differentiable(
     return radiance_from_perceptual(image) if gaussians.blending is Blending.DISPLAY else image
 
 
-def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
-    """The rows of tensors (..., N) as plain Dr.Jit floats, which start where vectors are aligned.
+def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Float]:
+    """The rows of tensors (..., N), without derivatives, which start where vectors are aligned.
 
-    They share the memory of tensors whose rows all do so, as those of a multiple of 16 Gaussians; others are
-    copied. From rows elsewhere, Dr.Jit would compile other kernels for other numbers of Gaussians. Loads by
-    index need no alignment, but take four times as long as the copy.
+    They share the memory of tensors whose rows all do so; others are copied, since Dr.Jit would compile other
+    kernels for them. Loads by index need no alignment, but take four times as long as the copy.
     """
+
+    def is_aligned(rows: torch.Tensor) -> bool:
+        starts = rows.data_ptr(), rows.stride(0) * rows.element_size()
+        return rows.stride(1) == 1 and not any(start % (4 * ALIGNED_FLOATS) for start in starts)
+
     count = tensors[0].shape[-1]
     flat = [tensor.detach().reshape(-1, count) for tensor in tensors]
-    others = [k for k, rows in enumerate(flat) if not _is_aligned(rows)]
+    others = [k for k, rows in enumerate(flat) if not is_aligned(rows)]
     if others:
         stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
         sizes = [len(flat[k]) for k in others]
@@ -156,21 +163,19 @@ def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
         torch.cat([flat[k] for k in others], out=copy)
         for k, part in zip(others, copy.split(sizes), strict=True):
             flat[k] = part
-    return [dr.detach(arrays.from_torch(row), preserve_type=False) for rows in flat for row in rows]
+    return [detached(arrays, row) for rows in flat for row in rows]
 
 
-def _is_aligned(rows: torch.Tensor) -> bool:
-    """Whether rows (R, N) start where vectors are aligned, each in one piece."""
-    starts = rows.data_ptr(), rows.stride(0) * rows.element_size()
-    return rows.stride(1) == 1 and not any(start % (4 * ALIGNED_FLOATS) for start in starts)
+def detached(arrays: Arrays, tensor: torch.Tensor) -> Float:
+    """A tensor's elements, flat, without derivatives."""
+    return dr.detach(arrays.from_torch(tensor), preserve_type=False)
 
 
 def arrays_of(what: str, tensors: Iterable[torch.Tensor]) -> Arrays:
     """Array types for the device that all tensors are on.
 
-    Raises:
-        ValueError: they are on several devices, or on one that is neither CPU nor CUDA.
-        UserError: they are on the CPU, and there is no LLVM that Dr.Jit can use.
+    ValueError if they are on several devices, or on one that is neither CPU nor CUDA; UserError if they
+    are on the CPU, and there is no LLVM that Dr.Jit can use.
     """
     devices = {tensor.device for tensor in tensors}
     if len(devices) > 1:
@@ -189,23 +194,30 @@ def _arrays(backend: BackendName) -> Arrays:
     return Arrays(backend)
 
 
-class _Render(torch.autograd.Function):
-    """The bridge: torch holds parameters and loss, Dr.Jit computes image and gradients.
+class Context(FunctionCtx):
+    """What torch keeps of a function for its gradient."""
 
-    The image has what is blended: linear radiance, or values of the perceptual scale.
-    """
+    saved_tensors: tuple[torch.Tensor, ...]
+    state: tuple | None
+
+
+class _Render(torch.autograd.Function):
+    """The bridge: torch holds parameters and loss, Dr.Jit computes what is blended, and gradients."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any, arrays: Arrays, camera: Camera, low_pass: float, blending: Blending, *tensors: torch.Tensor
+    def forward(  # type: ignore[override]  # the stub takes any
+        ctx: Context,
+        arrays: Arrays,
+        camera: Camera,
+        low_pass: float,
+        blending: Blending,
+        *tensors: torch.Tensor,
     ) -> torch.Tensor:
         # Of tensors that may have other shapes than when they were made Gaussians.
-        rows = aligned_rows(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
+        padded = PaddedRows.of(arrays, [tensor for _, tensor in Gaussians(*tensors).tensors()])
         wait_for_torch(tensors[0].device)
         grid = TileGrid(camera.width, camera.height)
         view = camera_numbers(arrays, camera, blending), constant(arrays.plain.Float, low_pass)
-        count = dr.width(rows[0])
-        padded = PaddedRows(AnySize(rows), arrays.constant(count), capacity(count + 1))
         splats, found = _projected(arrays, padded, *view, everywhere(arrays, grid), grid.side)
         parts = Parts(Candidates.of(arrays, splats, grid, found))
         (image,) = rasterize_parts(arrays, parts)
@@ -219,18 +231,12 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:
-        # Dr.Jit's graph is gone after one traversal.
-        if ctx.state is None:
-            raise RuntimeError("this image was differentiated already: render it again")
-        arrays, padded, view, splats, parts, image = ctx.state
-        # On a card, torch calls this in a thread of its own, which may only use arrays of an earlier scope.
-        dr.detail.new_scope(dr.backend_v(arrays.plain.Float))
+    def backward(ctx: Context, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        arrays, padded, view, splats, parts, image = state_once(ctx)
         shapes = [tensor.shape for tensor in ctx.saved_tensors]
-        ctx.state = None
         grid = parts.grid
         beyond = (0, CHANNELS - 3, 0, grid.padded_width - grid.width, 0, grid.padded_height - grid.height)
-        flow = dr.detach(arrays.from_torch(functional.pad(gradient, beyond)), preserve_type=False)
+        flow = detached(arrays, functional.pad(gradient, beyond))
         wait_for_torch(gradient.device)
         sums = sums_of_parts(arrays, parts, image, flow)
         block = _by_parameters(arrays, padded, *view, splats, sums, arrays.constant(padded.size))
@@ -240,7 +246,18 @@ class _Render(torch.autograd.Function):
         return (None, None, None, None, *results)
 
 
-def parameters_of(rows: list[Any]) -> Parameters:
+def state_once(ctx: Context) -> tuple:
+    """What `forward` left as `state`, the arrays first; RuntimeError if a gradient took it before."""
+    state, ctx.state = ctx.state, None
+    # Dr.Jit's graph is gone after one traversal.
+    if state is None:
+        raise RuntimeError("this image was differentiated already: render it again")
+    # On a card, torch calls this in a thread of its own, which may only use arrays of an earlier scope.
+    dr.detail.new_scope(dr.backend_v(state[0].plain.Float))
+    return state
+
+
+def parameters_of(rows: list[Float]) -> Parameters:
     """Parameters from their rows, in the order of the parameter tensors' memory."""
     means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
     return Parameters(means, log_scales, rotations, rows[10], [sh[k : k + 3] for k in range(0, len(sh), 3)])
@@ -248,27 +265,27 @@ def parameters_of(rows: list[Any]) -> Parameters:
 
 @dataclass(frozen=True)
 class PaddedRows:
-    """Rows of N Gaussians or splats, to be followed by zeros: trainings render other numbers in each view.
+    """Rows of N Gaussians or splats, to be followed by zeros: trainings render other numbers in each view."""
 
-    Attributes:
-        rows: (N,) each, in the order of the parameter tensors' memory.
-        count: N, in memory.
-        size: more than N.
-    """
+    rows: AnySize  # (N,) each, in the order of the parameter tensors' memory
+    count: UInt  # N
+    size: int  # more than N
 
-    rows: AnySize
-    count: Any
-    size: int
+    @staticmethod
+    def of(arrays: Arrays, tensors: list[torch.Tensor]) -> PaddedRows:
+        """The rows of tensors (..., N)."""
+        count = tensors[0].shape[-1]
+        rows = AnySize(aligned_rows(arrays, tensors))
+        return PaddedRows(rows, arrays.constant(count), capacity(count + 1))
 
-    def on(self, arrays: Arrays) -> list[Any]:
+    def on(self, arrays: Arrays) -> list[Float]:
         """The rows, `size` wide."""
         lane = dr.arange(arrays.plain.UInt, self.size)
         known = lane < self.count
         return [dr.gather(type(row), row, lane, known) for row in self.rows.arrays]
 
 
-def _rows_of_gaussians(arrays: Arrays, padded: PaddedRows) -> list[Any]:
-    """The rows of Gaussians, followed by invisible ones."""
+def _rows_of_gaussians(arrays: Arrays, padded: PaddedRows) -> list[Float]:
     rows = padded.on(arrays)
     known = dr.arange(arrays.plain.UInt, padded.size) < padded.count
     rows[_LOGITS] = dr.select(known, rows[_LOGITS], _INVISIBLE)
@@ -276,7 +293,7 @@ def _rows_of_gaussians(arrays: Arrays, padded: PaddedRows) -> list[Any]:
 
 
 def projected_splats(
-    arrays: Arrays, padded: PaddedRows, view: CameraNumbers, low_pass: Any, bounds: TileBounds, side: int
+    arrays: Arrays, padded: PaddedRows, view: CameraNumbers, low_pass: Float, bounds: TileBounds, side: int
 ) -> tuple[Splats, Boxed]:
     """Splats of padded Gaussians, and those as boxed for tiles of that side."""
     splats = project(parameters_of(_rows_of_gaussians(arrays, padded)), view, low_pass)
@@ -287,16 +304,16 @@ def gradients_of_rows(
     arrays: Arrays,
     padded: PaddedRows,
     view: CameraNumbers,
-    low_pass: Any,
+    low_pass: Float,
     splats: Splats,
-    sums: list[Any],
-    step: Any,
-) -> Any:
+    sums: list[Float],
+    step: UInt,
+) -> Float:
     """Gradients by the rows of padded Gaussians, one after the other in one array.
 
     `sums` are those of `sums_of_parts`, and `step` is the size in memory; all else is as it was projected.
     """
-    size, leaves = padded.size, [arrays.ad.Float(row) for row in _rows_of_gaussians(arrays, padded)]
+    leaves = [arrays.ad.Float(row) for row in _rows_of_gaussians(arrays, padded)]
     dr.enable_grad(leaves)
     # The rasterizer has gradients for all but the depths, which come last.
     *outputs, _ = vars(project(parameters_of(leaves), view, low_pass)).values()
@@ -304,10 +321,17 @@ def gradients_of_rows(
         dr.accum_grad(value, by_value)
     dr.enqueue(dr.ADMode.Backward, outputs)
     dr.traverse(dr.ADMode.Backward)
-    block, first = dr.empty(arrays.plain.Float, len(leaves) * size), dr.arange(arrays.plain.UInt, size)
-    for leaf in leaves:
-        by_row = dr.detach(dr.grad(leaf), preserve_type=False)
-        dr.scatter(block, by_row, first, mode=dr.ReduceMode.Permute)
+    return one_after_the_other(
+        arrays, [dr.detach(dr.grad(leaf), preserve_type=False) for leaf in leaves], step
+    )
+
+
+def one_after_the_other(arrays: Arrays, rows: list[Float], step: UInt) -> Float:
+    """Rows of one width in one array; `step` is that width, in memory."""
+    size = dr.width(rows[0])
+    block, first = dr.empty(arrays.plain.Float, len(rows) * size), dr.arange(arrays.plain.UInt, size)
+    for row in rows:
+        dr.scatter(block, row, first, mode=dr.ReduceMode.Permute)
         first = first + step
     return block
 
@@ -332,9 +356,8 @@ def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tenso
         return torch.zeros(0, dtype=torch.int64, device=means.device)
     rows = aligned_rows(arrays, [means, log_scales])
     longest = dr.exp(dr.maximum(dr.maximum(rows[3], rows[4]), rows[5]))
-    shown = may_show(arrays, rows[:3], longest, camera, PIXEL_FILTER, gaussians.blending)
-    index = arrays.plain.Int(dr.compress(shown))
-    return arrays.to_torch(index, means.device).long()
+    shown = may_show(rows[:3], longest, camera_numbers(arrays, camera, gaussians.blending), PIXEL_FILTER)
+    return arrays.to_torch(arrays.plain.Int(dr.compress(shown)), means.device).long()
 
 
 # Opacity below which a pixel shows no Gaussian.
@@ -351,8 +374,7 @@ def contributions(
     """(N, C) sums of what N Gaussians contribute to pixels of a view, times weights (H, W, C) of these.
 
     To a pixel, Gaussian m contributes c_m = alpha_m prod_{n<m} (1 - alpha_n), over the sum of that over all
-    Gaussians: Eq. 1 with the product up to m - 1 and the inverse covariance, without which it would not be
-    what is blended. It is the derivative of a rendered pixel by the colour of the Gaussian.
+    Gaussians: the derivative of a rendered pixel by the colour of the Gaussian.
     """
     found = torch.zeros(len(gaussians), weights.shape[2])
     if not len(gaussians):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
@@ -20,8 +20,10 @@ from splat.raster.binning import Bins, Candidates, TileWindow
 from splat.raster.blending import STANDARD, Compositing, ImageSplit, rasterize, sums_of_bins
 from splat.raster.records import Records
 
-# Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
-# this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
+
+# Candidate pairs that are listed at once; at some 90 bytes each, 1.5 GB.
 PAIRS_AT_ONCE = 1 << 24
 
 
@@ -53,7 +55,6 @@ class Parts:
             yield from self._lists(self._candidates.whole)
 
     def _lists(self, window: TileWindow) -> Iterator[Bins]:
-        """The lists of a window, divided until each part is small enough."""
         runs = self._candidates.runs(window)
         middle_x, middle_y = (window.left + window.right) // 2, (window.top + window.bottom) // 2
         if runs.pairs <= PAIRS_AT_ONCE or (middle_x == window.left and middle_y == window.top):
@@ -71,7 +72,7 @@ class Parts:
             yield from self._lists(half)
 
 
-def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None = None) -> list[Any]:
+def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None = None) -> list[Float]:
     """Renders linear radiance and opacity, as `rasterize` does: images of so many rows of tiles, or one."""
     split = ImageSplit.of(arrays, parts.grid, heights or [parts.grid.rows])
     images = None if parts.only is not None else split.new(arrays, dr.zeros)
@@ -81,7 +82,7 @@ def rasterize_parts(arrays: Arrays, parts: Parts, heights: Sequence[int] | None 
     return images
 
 
-def sums_of_parts(arrays: Arrays, parts: Parts, image: Any, gradient: Any) -> list[Any]:
+def sums_of_parts(arrays: Arrays, parts: Parts, image: Float, gradient: Float) -> list[Float]:
     """The (N,) sums that gradients by the splats are made of, from the gradient by an image."""
     sums = None
     for bins in parts:

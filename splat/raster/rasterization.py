@@ -13,8 +13,16 @@ from compose.base.arrays import Arrays
 from splat.raster.blending import Compositing
 from splat.raster.differentiable import arrays_of
 from splat.raster.tiles import TileGrid
-from splat.raster.torch_blending import AT_ONCE, FlatSplats, blended
-from splat.raster.torch_projection import Limits, Screen, harmonic_colours, project, scaled_axes
+from splat.raster.torch_splats import (
+    AT_ONCE,
+    FlatSplats,
+    Limits,
+    Screen,
+    blended,
+    harmonic_colours,
+    project,
+    scaled_axes,
+)
 
 # As gsplat composites: alphas up to 0.999, and pixels end in front of what would make them opaque.
 _RULES = Compositing(highest_alpha=0.999, ends_pixels=True)
@@ -62,7 +70,7 @@ def rasterization(  # noqa: PLR0913 the arguments of gsplat
     rasterize_mode: str = "classic",
     channel_chunk: int = 32,
     segmented: bool = False,
-    **others: Any,
+    **others: object,
 ) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Renders Gaussians as gsplat's `rasterization` does (1.5), on a CPU or a GPU.
 
@@ -94,9 +102,8 @@ def rasterization(  # noqa: PLR0913 the arguments of gsplat
     Torch differentiates both images by means, quats, scales, opacities, colors, viewmats, Ks, backgrounds and
     `meta["means2d"]`, once. Kernels compute in float32.
 
-    Of gsplat 1.5.3, these differ: with `sparse_grad`, gradients have the same values, but are dense;
-    `sh_degree` is 3 at most; `absgrad` takes three channels at most; `meta` has no lists of tiles. Gaussians
-    with the same depth are blended in the order of their indices, as there.
+    Unlike in gsplat 1.5.3, gradients are dense with `sparse_grad`, too; `sh_degree` is 3 at most; `absgrad`
+    takes three channels at most; `meta` has no lists of tiles.
 
     Args:
         means: (..., N, 3) centres. Dimensions in front are batches, the same for all tensors.
@@ -175,44 +182,34 @@ class _Pairs:
 
     @staticmethod
     def of(drawn: torch.Tensor, packed: bool) -> _Pairs:
-        """All, or those of a mask (..., C, N)."""
         images, count = math.prod(drawn.shape[:-1]), drawn.shape[-1]
         if not packed:
             return _Pairs(drawn.shape, None, [count] * images)
         by_image = drawn.reshape(images, count).sum(dim=1)
         return _Pairs(drawn.shape, drawn.flatten().nonzero()[:, 0], by_image.tolist())
 
-    def listed(self, values: torch.Tensor) -> torch.Tensor:
-        """Values (..., C, N, ...) as they are if all are listed; (M, ...) otherwise."""
-        return values if self.index is None else self.rows(values)
-
     def rows(self, values: torch.Tensor) -> torch.Tensor:
         """(M, ...) what is listed of values (..., C, N, ...), in one list."""
         flat = values.flatten(0, len(self.shape) - 1)
         return flat if self.index is None else flat.index_select(0, self.index)
 
-    def ids(self) -> dict[str, torch.Tensor | None]:
-        """(M,) numbers of batch, camera and Gaussian of each pair; None if all are listed."""
-        *_, cameras, count = self.shape
-        if self.index is None:
-            return dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids"))
-        image = self.index // count
-        ids = image // cameras, image % cameras, self.index % count
-        return dict(zip(("batch_ids", "camera_ids", "gaussian_ids"), ids, strict=True))
-
 
 def _meta(screen: Screen, pairs: _Pairs) -> dict[str, Any]:
-    """What `rasterization` tells of the Gaussians on the screen."""
-    *batches, cameras, _ = pairs.shape
-    lists = {
+    *batches, cameras, count = pairs.shape
+    found: dict[str, Any] = {
         "radii": screen.radii,
         "means2d": screen.means,
         "depths": screen.depth,
         "conics": screen.conics,
         "opacities": screen.opacity,
     }
-    numbers = {"n_batches": math.prod(batches), "n_cameras": cameras}
-    return pairs.ids() | {name: pairs.listed(values) for name, values in lists.items()} | numbers
+    ids: list[torch.Tensor | None] = [None] * 3
+    if pairs.index is not None:
+        found = {name: pairs.rows(values) for name, values in found.items()}
+        image = pairs.index // count
+        ids = [image // cameras, image % cameras, pairs.index % count]
+    found |= dict(zip(("batch_ids", "camera_ids", "gaussian_ids"), ids, strict=True))
+    return found | {"n_batches": math.prod(batches), "n_cameras": cameras}
 
 
 def _images(
@@ -274,7 +271,7 @@ def _finished(
     return torch.cat([colours, depth], dim=-1)
 
 
-def _refuse(others: dict[str, Any]) -> None:
+def _refuse(others: dict[str, object]) -> None:
     for name, value in others.items():
         if name not in _REFUSED:
             raise TypeError(f"rasterization() has no argument {name!r}")
@@ -296,7 +293,6 @@ def _check_choices(render_mode: str, rasterize_mode: str, eps2d: float, width: i
 
 
 def _check_shapes(means: torch.Tensor, viewmats: torch.Tensor, **others: torch.Tensor) -> None:
-    """Checks that all go with the batches and Gaussians of means and the cameras of viewmats."""
     if means.dim() < 2 or means.shape[-1] != 3:
         raise ValueError(f"means of shape {tuple(means.shape)}: must be (..., N, 3)")
     if viewmats.dim() < 3 or not viewmats.shape[-3]:
@@ -318,7 +314,6 @@ def _check_shapes(means: torch.Tensor, viewmats: torch.Tensor, **others: torch.T
 def _check_colors(
     colors: torch.Tensor, sh_degree: int | None, shape: torch.Size, backgrounds: torch.Tensor | None
 ) -> None:
-    """Checks the colours or harmonics of Gaussians seen by cameras (..., C, N), and backgrounds."""
     *batches, cameras, count = shape
     if sh_degree is None:
         wanted, own = "(..., N, D) or (..., C, N, D)", colors.shape[-1:]

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.base.errors import UserError
+from splat.model.points import Bits
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt
 
 # Each tile has 4 x 4 lanes: they fill one AVX-512 vector and half a warp.
 LANES_ACROSS = 4
@@ -28,17 +31,16 @@ class GridNumbers:
     """A grid as kernels read it, UInts of width 1 in memory: the same kernels serve all frames."""
 
     side: int  # of a tile in pixels
-    columns: Any
-    tiles: Any  # columns * rows
-    width: Any  # of all tiles in pixels
+    columns: UInt
+    tiles: UInt  # columns * rows
+    width: UInt  # of all tiles in pixels
 
 
 @dataclass(frozen=True)
 class TileGrid:
     """A frame divided into tiles; those at the right and at the bottom may reach beyond it.
 
-    Raises:
-        UserError: the frame has more than 65,536 tiles along a side, or 2^30 pixels.
+    UserError if the frame has more than 65,536 tiles along a side, or 2^30 pixels.
     """
 
     width: int  # width, height: frame in pixels
@@ -77,12 +79,8 @@ class TileGrid:
         sizes = self.columns, self.columns * self.rows, self.padded_width
         return GridNumbers(self.side, *map(arrays.constant, sizes))
 
-    def mask(self, wanted: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """(rows, columns) the wanted tiles; None stands for all.
-
-        Raises:
-            ValueError: the mask has another shape.
-        """
+    def mask(self, wanted: Bits | None) -> Bits:
+        """(rows, columns) the wanted tiles; None stands for all. ValueError if the mask has another shape."""
         shape = self.rows, self.columns
         if wanted is None:
             return np.ones(shape, dtype=bool)
@@ -92,20 +90,24 @@ class TileGrid:
 
 
 def between_corners(
-    arrays: Arrays, at: Callable[[Any], Any], first: Any, rows: Any, columns: Any, x: Any, y: Any
-) -> Any:
+    arrays: Arrays,
+    at: Callable[[UInt], Float],
+    first: UInt | int,
+    size: tuple[UInt, UInt],
+    x: Float,
+    y: Float,
+) -> Float:
     """A lattice at positions in pixels, linear between the corners of tiles and constant beyond the frame.
 
     Args:
         at: the Float at an index.
         first: index of the first corner; the others follow row by row.
-        rows, columns: of corners, UInts of width 1.
+        size: rows and columns of corners, of width 1.
     """
-    Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    Float, UInt, (rows, columns) = arrays.plain.Float, arrays.plain.UInt, size
     u = dr.clip(x * (1 / TILE), 0, Float(columns) - 1.001)
     v = dr.clip(y * (1 / TILE), 0, Float(rows) - 1.001)
     column, row = UInt(u), UInt(v)
-    fu, fv = u - Float(column), v - Float(row)
-    above = first + row * columns + column
-    below = above + columns
-    return dr.lerp(*(dr.lerp(at(corner), at(corner + 1), fu) for corner in (above, below)), fv)
+    corner, fu, fv = first + row * columns + column, u - Float(column), v - Float(row)
+    above, below = (dr.lerp(at(left), at(left + 1), fu) for left in (corner, corner + columns))
+    return dr.lerp(above, below, fv)

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
 from compose.image.colour import decibels
 from splat.model.gaussians import SH_DC
-from splat.model.layer import Layer
 from splat.model.motion import turned
 from splat.model.points import Floats, Ints, drawn_in, rows_of, z_curve_keys
-from splat.model.trees import label_codes
+from splat.model.trees import Layer, label_codes
 
 # Halvings of the cube around everything: a cell of the last ones is a fraction of a pixel in most frames.
 # Beyond this distance, in units of a place, cells grow with it: the sky is not to share them with all else.
@@ -121,8 +119,7 @@ class HitTree:
     def psnr_of(self, count: int) -> float:
         """dB of hits in the mean colour of their leaf, on the perceptual scale, with about `count` leaves."""
         found = int(np.searchsorted(self._counts, count, side="right"))
-        error = float(self._left[max(found - 1, 0)]) / (len(self._keys) * _COLOURS)
-        return decibels(error)
+        return decibels(float(self._left[max(found - 1, 0)]) / (len(self._keys) * _COLOURS))
 
     def _leaves(self, worth: float) -> Ints:
         """First hit of each leaf, in order."""
@@ -154,7 +151,7 @@ class HitTree:
         return replace(seeds, gaussians=replace(seeds.gaussians, sh=sh))
 
 
-def _kind(hits: Layer) -> NDArray[np.int64]:
+def _kind(hits: Layer) -> Ints:
     """(M,) a number for each label and each of the six ways that a surface may face."""
     rotations = hits.gaussians.rotations.double()
     along = torch.tensor([[0.0], [0.0], [1.0]], dtype=torch.float64).expand(3, len(hits))

@@ -4,13 +4,11 @@
 tracer knows the distance of every pixel: new Gaussians are placed on the surface, at pixels drawn with
 probability proportional to their error. In frames without distances, the Gaussians that are there tell them.
 
-Nodes are split that are too large for the edges of the shadows that pass over them. A node has one factor of
-light. Where an edge of a shadow lies across a large one, which is all that a plain surface would need
-otherwise, the shadow has the node's shape instead of its own.
+Nodes are split that are too large for the edges of the shadows that pass over them: a node has one factor of
+light, and a shadow whose edge lies across a large one would have the node's shape instead of its own.
 
 And Gaussians must stay small beside their distance from whoever looks at them. The rasterizer projects one
-linearly around its centre. A large one that is flat on a wall close beside a viewer spills over all of the
-view, as a haze that its ellipsoid does not have.
+linearly around its centre: a large one on a wall close beside a viewer spills over all of the view.
 """
 
 from __future__ import annotations
@@ -26,8 +24,8 @@ from scipy.spatial import cKDTree
 from compose.base.files import under
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.gaussians import SH_DC, Gaussians
-from splat.model.layer import Layer, concatenated_layers, static_layer
 from splat.model.motion import Dynamics, turned
+from splat.model.trees import Layer, concatenated_layers, static_layer
 from splat.raster.projection import NEAR
 from splat.training.initialization import seed_at
 from splat.training.training_view import TrainingView
@@ -102,7 +100,7 @@ class DensityControl:
     def _added(
         self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator, measured: _Measure
     ) -> Layer:
-        """New nodes, shared among the views in proportion to their mean errors."""
+        """New nodes, shared among the views in proportion to their mean errors, then among their pixels."""
         seen = sorted(self._errors)
         if any(views[v].guessed for v in seen):
             seen = sorted(rng.choice(seen, min(_MEASURED, len(seen)), replace=False).tolist())
@@ -112,9 +110,13 @@ class DensityControl:
         parts = [static_layer(Gaussians.none(degree))]
         for view, share in zip(seen, shares, strict=True):
             if share:
-                shown = measured(views[view])
-                pixels = _draw(self._errors[view], shown, int(share), rng)
-                parts.append(seed_at(shown, pixels, _SIZE, degree, self._motion, self._light))
+                shown, error = measured(views[view]), self._errors[view].numpy().ravel()
+                likely = np.zeros(error.size)
+                likely[shown.surface_pixels] = error[shown.surface_pixels]
+                most, total = int(np.count_nonzero(likely)), likely.sum()
+                if most:
+                    pixels = rng.choice(error.size, min(int(share), most), replace=False, p=likely / total)
+                    parts.append(seed_at(shown, pixels, _SIZE, degree, self._motion, self._light))
         return concatenated_layers(parts)
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -124,16 +126,6 @@ class DensityControl:
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
         """Restores what `state` returned; other tensors are ignored."""
         self._errors = {int(view): error for view, error in under(_STATE, tensors).items()}
-
-
-def _draw(error: torch.Tensor, view: TrainingView, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of at most `count` pixels with a surface, drawn without replacement in proportion to error."""
-    weights, shown = np.zeros(error.numel()), view.surface_pixels
-    weights[shown] = error.numpy().ravel()[shown]
-    possible = int(np.count_nonzero(weights))
-    if not possible:
-        return np.zeros(0, dtype=np.int64)
-    return rng.choice(weights.size, min(count, possible), replace=False, p=weights / weights.sum())
 
 
 # Error on the perceptual scale that a node may make by having one factor, as a root mean square over time:
@@ -147,8 +139,7 @@ _MARGIN = 1.3
 LEAST_STEPS = 400
 # Share of a layer's nodes that are split at once, at most.
 _MOST = 0.1
-# Standard deviation of a half along the axis that is split, and its distance from the middle, as shares of
-# the deviation of the whole: nearly the same moments.
+# Deviation of a half along the split axis, and its distance from the middle, over the deviation of the whole.
 _HALF, _ASIDE = 0.75, 0.6
 # What a half has of its opacity in the middle of the whole, and the most that it has.
 _MIDDLE, _MOST_OPAQUE = float(np.exp(-0.5 * (_ASIDE / _HALF) ** 2)), 0.99

@@ -1,9 +1,8 @@
 """Distances for frames that do not have any: guesses, which training replaces by what its Gaussians show.
 
-From known points where there are some; else from the hull of what is not empty; else from parallax: how far
-away something must be for other views to show it in the same colour. That is a plane sweep (Collins 1996):
-each pixel is tried at a number of distances, and keeps the one at which small windows around it look most
-alike in other views. It is coarse, and wrong where there is no texture; but what is wrong there looks right.
+From known points where there are some; else from the hull of what is not empty; else from parallax by a plane
+sweep (Collins 1996): each pixel is tried at a number of distances, and keeps the one at which small windows
+around it look most alike in other views. Where there is no texture, it is wrong, but looks right.
 """
 
 from __future__ import annotations
@@ -21,20 +20,17 @@ from scipy.spatial import cKDTree
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance
-from splat.model.points import Floats
+from splat.model.points import Floats, Ints
 from splat.raster.differentiable import render_differentiable
 from splat.training.training_view import TrainingView, reduced
 
 # Pixels, about, of the reduced views that are compared.
 _PIXELS = 1 << 12
-# Distances that are tried, in equal steps of their inverse, and the least of them over the largest: more
-# would take long, or leave gaps of more than a pixel.
+# Distances that are tried, in equal steps of their inverse, and the least of them over the largest.
 _TRIED, _LEAST = 64, 1 / 12
-# Views that each one is compared with, and the share of them that must agree: in others it is hidden, or has
-# moved.
+# Views that each one is compared with, and the share of them that must agree: in others it is hidden.
 _OTHERS, _AGREEING = 8, 0.5
-# How far apart cameras are that are compared, over the distance of what they show: nearer ones see no
-# parallax, farther ones something else.
+# How far apart compared cameras are, over the distance of what they show: nearer ones see no parallax.
 _NEAR, _FAR = 0.02, 0.35
 # Side of the windows, and of the filter that removes outliers, in pixels of reduced views.
 _WINDOW, _FILTER = 5, 5
@@ -58,7 +54,7 @@ class Parallax:
         self._tried = 1 / np.linspace(1 / farthest, 1 / max(nearest, _LEAST * farthest), _TRIED)
         self._distance = distance
 
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Floats:
+    def distances(self, number: int, pixels: Ints) -> Floats:
         """Distances (M,) along the rays through pixels of a view, row-major indices at full resolution."""
         small = self._views[number]
         height, width = small.distance.shape
@@ -104,8 +100,7 @@ _NEAREST, _FARTHEST = 0.3, 2.0
 # Cells of the hull's grid along each axis, and steps of a ray through it.
 _CELLS = 64
 _STEPS = 128
-# Where views show a ray's cells not to be empty, the first one is hit that does so in nearly as many views
-# as any: what moves is nowhere in all of them.
+# The first cell of a ray is hit that is filled in nearly as many views as any: what moves is in few of them.
 _NEARLY = 0.9
 # Of the smallest eigenvalue of a mean of projections: less is that of axes that are all but parallel.
 _PARALLEL = 1e-4
@@ -114,7 +109,7 @@ _PARALLEL = 1e-4
 def with_guesses(
     views: list[TrainingView], points: Floats | None = None, bounds: tuple[float, float] | None = None
 ) -> list[TrainingView]:
-    """Views with a guess of each distance that is not known.
+    """Views with a guess of each distance that is not known, and normals towards them.
 
     Args:
         views: of the world; distances are NaN where they are unknown, inf where nothing is.
@@ -122,16 +117,25 @@ def with_guesses(
     """
     if not views:
         return []
-    source = _source(views, points, bounds)
-    return [_guessed(view, partial(source, number)) for number, view in enumerate(views)]
+    source, found = _source(views, points, bounds), []
+    for number, view in enumerate(views):
+        height, width = view.distance.shape
+        stride = max(1, int(np.ceil(np.sqrt(height * width / _GUESSES))))
+        rows, columns = (np.minimum(np.arange(0, n, stride) + stride // 2, n - 1) for n in (height, width))
+        some = source(number, (rows[:, None] * width + columns).ravel()).reshape(len(rows), len(columns))
+        guess = np.repeat(np.repeat(some, stride, axis=0), stride, axis=1)[:height, :width]
+        rays = view.rays(np.arange(height * width)).reshape(height, width, 3)
+        distance = np.where(np.isnan(view.distance), guess, view.distance).astype(np.float32)
+        normal = (-rays).astype(np.float32)
+        found.append(replace(view, distance=distance, normal=normal, guessed=True))
+    return found
 
 
 # Distances (M,) along the rays through pixels of a view, from its number and row-major indices (M,).
-_Source = Callable[[int, NDArray[np.int64]], Floats]
+_Source = Callable[[int, Ints], Floats]
 
 
 def _source(views: list[TrainingView], points: Floats | None, bounds: tuple[float, float] | None) -> _Source:
-    """The best source of guesses that there is."""
     middle, distance = focus([view.camera for view in views])
     nearest, farthest = bounds or (_NEAREST * distance, _FARTHEST * distance)
     if points is not None and len(points):
@@ -163,20 +167,8 @@ def focus(cameras: list[Camera]) -> tuple[Floats, float]:
     return middle + axes.mean(axis=0) * distance, distance
 
 
-def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Floats]) -> TrainingView:
-    """A view with a guess of the distance of each pixel that shows anything, and normals towards it."""
-    height, width = view.distance.shape
-    stride = max(1, int(np.ceil(np.sqrt(height * width / _GUESSES))))
-    rows, columns = (np.minimum(np.arange(0, n, stride) + stride // 2, n - 1) for n in (height, width))
-    found = guess((rows[:, None] * width + columns).ravel()).reshape(len(rows), len(columns))
-    whole = np.repeat(np.repeat(found, stride, axis=0), stride, axis=1)[:height, :width]
-    rays = view.rays(np.arange(height * width)).reshape(height, width, 3)
-    distance = np.where(np.isnan(view.distance), whole, view.distance).astype(np.float32)
-    return replace(view, distance=distance, normal=(-rays).astype(np.float32), guessed=True)
-
-
 def _among_points(
-    views: list[TrainingView], points: Floats, otherwise: float, number: int, pixels: NDArray[np.int64]
+    views: list[TrainingView], points: Floats, otherwise: float, number: int, pixels: Ints
 ) -> Floats:
     """Median distances of the known points that are seen around pixels; `otherwise` if a view shows none."""
     camera = views[number].camera
@@ -206,7 +198,7 @@ class _Hull:
         # A cell that hardly any view shows is not proven to be anything.
         self._share = np.where(seen >= len(views) / 2, filled / np.maximum(seen, 1), 0)
 
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Floats:
+    def distances(self, number: int, pixels: Ints) -> Floats:
         """Distances to the hull along rays through pixels; to the grid's middle where they miss it."""
         view = self._views[number]
         found = np.full(len(pixels), self._distance)

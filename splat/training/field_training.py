@@ -1,10 +1,10 @@
 """The training of a field: fitted to where frames see what moves, then optimized beside the Gaussians.
 
-Images alone do not teach a field to follow what moves by more than its own size: where it is drawn and where
-it is seen do not overlap, and no gradient leads from one to the other. But a frame tells where in space the
-pixels of an instance are. Points that one frame sees of it, the anchors, are deformed until they lie on what
-the other frames see (two-sided distance to nearest points), while neighbours stay as far apart as they were
-(as rigid as possible; Sorkine and Alexa 2007). Nothing has to correspond to anything.
+Images alone do not teach a field to follow what moves by more than its own size: no gradient leads from where
+it is drawn to where it is seen. But a frame tells where in space the pixels of an instance are. Points that
+one frame sees of it, the anchors, are deformed until they lie on what the other frames see (two-sided
+distance to nearest points), while neighbours stay as far apart as they were (as rigid as possible; Sorkine
+and Alexa 2007).
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ import torch
 
 from compose.base.files import under
 from compose.camera.camera import Camera
-from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import LearnedMotion
 from splat.training.training_view import TrainingView
 
 # Steps at most, each on one frame.
 _STEPS = 600
 # Points of an instance in a frame, at most, of all instances together, and at least for a frame to tell.
 _POINTS, _ALL_POINTS, _LEAST_POINTS = 150, 1000, 8
-# Share of the frames that must show an instance: too little is known of one that is seen now and then, or
-# that flow has taken to pieces.
+# Share of the frames that must show an instance: else too little is known of it.
 _OFTEN = 0.5
 # Anchors that each one keeps its distance to, and how much that counts beside the distance to what is seen.
 _NEIGHBOURS, _RIGIDITY = 8, 3.0
@@ -41,8 +40,6 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class _Anchors:
-    """Points of one instance."""
-
     index: torch.Tensor  # (A,) among the anchors of all instances
     size: float  # median distance from their centre
     neighbours: torch.Tensor  # neighbours, lengths: (A, K) nearest others, and how far they are at rest
@@ -77,7 +74,7 @@ def register(motion: LearnedMotion, views: Sequence[TrainingView], steps: int, s
         torch.stack(parts).sum().backward()
         adam.step()
     adam.zero_grad(set_to_none=True)
-    motion.anchor(points.T, instance)
+    motion.anchors = points.T, instance
 
 
 def _clouds(
@@ -117,7 +114,6 @@ def _clouds(
 
 
 def _anchors(points: torch.Tensor, instance: torch.Tensor, number: int) -> _Anchors:
-    """Those of one instance, among points (A, 3) of all."""
     index = torch.nonzero(instance == number)[:, 0]
     own = points[index]
     lengths, neighbours = torch.cdist(own, own).topk(min(_NEIGHBOURS + 1, len(own)), largest=False)

@@ -67,9 +67,8 @@ def _share_seen(decay: float, steps: torch.Tensor) -> torch.Tensor:
     return torch.expm1(steps * math.log(decay)).neg_()
 
 
-# Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
-# for 30,000 steps; with a tenth of the steps the positions need larger ones, and the sizes above all: seeds
-# are as wide as the gaps between them, whatever the detail there. Positions are in units of the size of a
+# Learning rates at the start and at the end, exponential between them. With a tenth of the steps of 3D
+# Gaussian splatting, positions and above all sizes need larger ones than there. Positions are in units of a
 # pixel at the views' median distance.
 _MEANS, _SCALES, _ROTATIONS, _OPACITY = (0.15, 0.006), (0.05, 0.01), (0.004, 0.001), (0.05, 0.01)
 _CONSTANT, _DIRECTIONAL = (0.016, 0.0024), (0.0016, 0.0004)
@@ -79,10 +78,9 @@ HOST = torch.device("cpu")
 
 
 class GaussianOptimizer:
-    """Optimizes Gaussians, which are copied; the constant spherical harmonic has a learning rate of its own.
+    """Optimizes Gaussians, which are copied; harmonics above the constant one only where they have them.
 
-    The others are apart from it, and have moments only where Gaussians have them. The positions' learning
-    rate is in units of `pixel`.
+    The positions' learning rate is in units of `pixel`.
     """
 
     def __init__(self, gaussians: Gaussians, pixel: float, device: torch.device = HOST):
@@ -127,15 +125,21 @@ class GaussianOptimizer:
     def step(self, loss: torch.Tensor, progress: float) -> bool:
         """Takes one step down the gradient of a loss, which is computed from what `chosen` returned.
 
-        `progress` is the share of the training that is done, 0..1, which sets the learning rates. Returns
-        whether it did: if the gradient is not finite, parameters and moments stay as they are.
+        `progress`, the share of the training that is done, sets the learning rates. Returns whether it did:
+        if the gradient is not finite, all stays as it is.
         """
         loss.backward()
         assert self._leaves.directional is not None
         gradient = torch.cat([_gradient(leaf) for _, leaf in self._leaves.tensors()])
         turning = _gradient(self._leaves.directional.sh)
-        if not _are_finite(loss.detach(), gradient, turning):
-            return False
+        # The moments are made of squares. A sum of them takes a tenth of the time of a maximum; and each look
+        # at a number waits for the device.
+        flat = [part.reshape(-1) for part in (gradient, turning)]
+        if not bool(torch.isfinite(loss.detach() + sum(torch.dot(part, part) for part in flat))):
+            # Only the sum may be infinite. A maximum is NaN if any of its numbers is.
+            extremes = [torch.linalg.vector_norm(part, torch.inf).square() for part in flat if len(part)]
+            if not bool(torch.isfinite(torch.stack([loss.detach(), *extremes])).all()):
+                return False
         # One of each row that all Gaussians have.
         means = tuple(self._pixel * rate for rate in _MEANS)
         rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
@@ -192,17 +196,4 @@ def _gaussians(rows: torch.Tensor, index: torch.Tensor, turning: torch.Tensor) -
 
 
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:
-    """(rows, M) derivative by a tensor (..., M); 0 where nothing depends on it."""
     return as_rows(torch.zeros_like(leaf) if leaf.grad is None else leaf.grad)
-
-
-def _are_finite(loss: torch.Tensor, *gradients: torch.Tensor) -> bool:
-    """Whether a loss is finite, gradients, and their squares, of which the moments are made."""
-    flat = [gradient.reshape(-1) for gradient in gradients]
-    # Where a sum of squares is finite, each of them is; it takes a tenth of the time of a maximum. One sum of
-    # all, since each look at a number waits for the device.
-    if bool(torch.isfinite(loss + sum(torch.dot(part, part) for part in flat))):
-        return True
-    # A maximum is NaN if any of its numbers is.
-    extremes = [torch.linalg.vector_norm(part, torch.inf).square() for part in flat if len(part)]
-    return bool(torch.isfinite(torch.stack([loss, *extremes])).all())

@@ -1,4 +1,4 @@
-"""Places Gaussians on the surfaces that training frames show."""
+"""Places Gaussians on the surfaces that training frames show, and behind them where they show the sky."""
 
 from __future__ import annotations
 
@@ -8,25 +8,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import logit
 
+from compose.camera.camera import sphere_directions
 from splat.model.dynamic_light import NodeLight
-from splat.model.gaussians import Gaussians, perceptual_from_radiance, sh_count
-from splat.model.layer import Layer, concatenated_layers, static_layer
+from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
 from splat.model.motion import Dynamics
+from splat.model.points import Floats, Ints
+from splat.model.trees import Layer, concatenated_layers, static_layer
 from splat.training.clusters import HitTree
-from splat.training.sky import discs, opacity_logit, whole_sky
-from splat.training.training_view import TrainingView
+from splat.training.training_view import SKY_DISTANCE, TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
 _INITIAL_OPACITY = 0.5
-# Of the first seeds, which have to hide what lies behind the surface: a forest of half transparent ones is
-# dark, and takes hundreds of steps to get out of it.
+# Of the first seeds: a forest of half transparent ones is dark, and takes hundreds of steps to get out of it.
 _COVERING_OPACITY = 0.9
-# Share of all pixels up to which what hits nothing may be edges of surfaces, with nothing behind them.
-_LEAST_SKY = 1e-3
-# Pixels of a view, about, that tell in which directions the sky is seen, and as many for surfaces.
-_DIRECTIONS = 1000
 # Standard deviation of a seed, as a share of the distance to its neighbours.
 _COVERING = 0.6
 _NEIGHBOURS = 4
@@ -34,6 +31,21 @@ _NEIGHBOURS = 4
 _NARROWEST, _WIDEST = 0.3, 8.0
 # Hits that are clustered, at most: four times as many take four times as long, for seeds that are no better.
 _MOST_HITS = 500_000
+# Share of all pixels up to which what hits nothing may be edges of surfaces, with nothing behind them.
+_LEAST_SKY = 1e-3
+# Pixels of a view, about, that tell in which directions the sky is seen, and as many for surfaces.
+_SEEN_DIRECTIONS = 1000
+# Directions of the whole sphere in which there is a Gaussian behind all others if they show the sky.
+_SKY_DIRECTIONS = 2000
+_SPACING = float(np.sqrt(4 * np.pi / _SKY_DIRECTIONS))  # radians
+# Their distance: even those beside each other in a frame are sorted by depth, which falls with the angle.
+_BEHIND = 1.25 * SKY_DISTANCE
+# Standard deviation as a share of the spacing, and opacity: together they hide what is behind.
+_SKY_COVERING, _SKY_OPACITY = 0.75, 0.95
+# Seen directions whose mean colour each gets.
+_ALIKE = 24
+# Share of seen colours above which they are that of the sun, which shines from one direction only.
+_SUN = 0.98
 
 
 def seed_from_views(
@@ -78,13 +90,12 @@ def hits_of(
     return concatenated_layers([static_layer(Gaussians.none(0)), *seeds])
 
 
-def _some_of(pixels: NDArray[np.int64], most: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def _some_of(pixels: Ints, most: int, rng: np.random.Generator) -> Ints:
     """At most so many of the pixels, in order; at random, since rows are as regular as textures."""
     return pixels if len(pixels) <= most else np.sort(rng.choice(pixels, most, replace=False))
 
 
 def _with_degree(layer: Layer, degree: int) -> Layer:
-    """Nodes with a constant harmonic, and others of 0 up to a degree."""
     constant = layer.gaussians.sh
     further = constant.new_zeros(sh_count(degree) - 1, 3, len(layer))
     return replace(layer, gaussians=replace(layer.gaussians, sh=torch.cat([constant, further])))
@@ -104,30 +115,13 @@ def _covering(seeds: Gaussians, spacing: float) -> Gaussians:
     log_scales = seeds.log_scales.numpy()
     change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST * spacing))
     wide = torch.from_numpy((log_scales + change).astype(np.float32))
-    opaque = torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY))
+    opaque = torch.full_like(seeds.opacity_logits, logit(_COVERING_OPACITY))
     return replace(seeds, log_scales=wide, opacity_logits=opaque)
-
-
-def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
-    """Seeds of the sky in all directions; none if the views show hardly any."""
-    sky, surface = ([_some_directions(view, wanted) for view in views] for wanted in (True, False))
-    far = sum(len(view.sky_pixels) for view in views)
-    if far <= _LEAST_SKY * sum(view.distance.size for view in views):
-        return Gaussians.none(degree)
-    rays, radiance = (np.concatenate(part) for part in zip(*sky, strict=True))
-    return whole_sky(rays, radiance, np.concatenate([rays for rays, _ in surface]), degree)
-
-
-def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Some directions (M, 3) in which a view shows the sky, or else a surface, and their radiance (M, 3)."""
-    seen = view.sky_pixels if sky else np.setdiff1d(view.surface_pixels, view.sky_pixels)
-    seen = seen[:: max(1, len(seen) // _DIRECTIONS)]
-    return view.rays(seen), view.radiance.reshape(-1, 3)[seen].astype(np.float32)
 
 
 def seed_at(
     view: TrainingView,
-    pixels: NDArray[np.int64],
+    pixels: Ints,
     size: float,
     degree: int,
     motion: Dynamics | None = None,
@@ -149,10 +143,67 @@ def seed_at(
     radiance = torch.from_numpy(view.radiance.reshape(-1, 3)[pixels].T.astype(np.float32))
     colour = perceptual_from_radiance(radiance.clamp(min=0))
     normals = view.normal.reshape(-1, 3)[pixels].astype(np.float64)
-    seeds = discs(view.points(pixels), np.log(scales).T, normals, colour, _INITIAL_OPACITY, degree)
+    seeds = _discs(view.points(pixels), np.log(scales).T, normals, colour, _INITIAL_OPACITY, degree)
     found = static_layer(seeds)
     if motion is not None:
         instance = torch.from_numpy(view.instances(pixels))
         rest = motion.at_rest(seeds, instance, view.time)
         found = replace(static_layer(rest), semantic=instance, dynamic=instance >= 0)
     return found if light is None else light.in_usual_light(found, seeds, view.camera, view.time)
+
+
+def _discs(
+    means: Floats, log_scales: Floats, normals: Floats, colour: torch.Tensor, opacity: float, degree: int
+) -> Gaussians:
+    """N Gaussians that look alike from everywhere and are flat: their third axis lies along the normal.
+
+    Means, log-scales and normals are (N, 3), the colour is perceptual radiance (3, N).
+    """
+    sh = torch.zeros(sh_count(degree), 3, len(means))
+    sh[0] = (colour - 0.5) / SH_DC
+    parts = means, log_scales, _rotation_to(normals)
+    rows = [torch.from_numpy(np.ascontiguousarray(part.T, dtype=np.float32)) for part in parts]
+    return Gaussians(*[*rows, torch.full((len(means),), logit(opacity)), sh])
+
+
+def _rotation_to(normals: Floats) -> Floats:
+    """Quaternions (M, 4) that turn the z axis into the normals (M, 3); identity for a zero normal."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
+    # Half-way quaternion (1 + z.n, z x n); for n = -z any half turn about a horizontal axis works.
+    quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
+    quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
+    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+
+def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
+    far = sum(len(view.sky_pixels) for view in views)
+    if far <= _LEAST_SKY * sum(view.distance.size for view in views):
+        return Gaussians.none(degree)
+    some = lambda seen: seen[:: max(1, len(seen) // _SEEN_DIRECTIONS)]  # noqa: E731
+    sky = [some(view.sky_pixels) for view in views]
+    rays = [view.rays(pixels) for view, pixels in zip(views, sky, strict=True)]
+    radiance = [view.radiance.reshape(-1, 3)[pixels] for view, pixels in zip(views, sky, strict=True)]
+    surface = [view.rays(some(np.setdiff1d(view.surface_pixels, view.sky_pixels))) for view in views]
+    shown = np.concatenate(radiance).astype(np.float32)
+    return whole_sky(np.concatenate(rays), shown, np.concatenate(surface), degree)
+
+
+def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degree: int) -> Gaussians:
+    """Gaussians behind all others in every direction of the sky, in the mean colour of what is next to it.
+
+    A direction that no frame shows belongs to the sky if the nearest one that is seen does. Frames show the
+    sky in unit directions (M, 3), its linear radiance (M, 3) there, and surfaces in unit directions (N, 3).
+    """
+    directions = sphere_directions(_SKY_DIRECTIONS)
+    distance, near = cKDTree(sky).query(directions, k=np.arange(1, min(_ALIKE, len(sky)) + 1))
+    if len(surface):
+        # What stands before the sky in one view may not do so in another.
+        belongs = distance[:, 0] < cKDTree(surface).query(directions)[0] + _SPACING
+        directions, near = directions[belongs], near[belongs]
+    seen = perceptual_from_radiance(torch.from_numpy(radiance).clamp(min=0))
+    seen = torch.minimum(seen, seen.quantile(_SUN, dim=0))
+    colour = seen[torch.from_numpy(near)].mean(dim=1).T
+    log_scales = np.log(_BEHIND * _SPACING * _SKY_COVERING * np.array([1, 1, _FLATNESS]))
+    log_scales = np.broadcast_to(log_scales, directions.shape)
+    return _discs(_BEHIND * directions, log_scales, directions, colour, _SKY_OPACITY, degree)

@@ -15,9 +15,8 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import View
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.gaussians import SH_DC, Gaussians, apart
-from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
-from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics
+from splat.model.motion import Dynamics, LearnedMotion
+from splat.model.trees import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.raster.differentiable import contributions, directional_radiance, render_differentiable, visible
 from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_log_scales, too_large
 from splat.training.depth_estimates import measured
@@ -51,15 +50,13 @@ def order_of_views(errors: NDArray[np.float64], rng: np.random.Generator) -> NDA
 _LIMITED_EVERY = 25
 # And from one look at which points of surfaces nodes have their light from.
 _LIT_EVERY = 100
-# How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
-# the steps since the last time: each takes about as long as a step.
+# How often nodes are told anew which of them move; views from which, at most, and as a share of the steps.
 _SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
 # When it is told which nodes turn with the view, as shares of the steps, and by what share of what is visible
-# they must: while there are few, so that most never have harmonics, which have not gone far then; and when
-# these have, and all nodes can still make up for those that go.
+# they must: while there are few, and at last when the others can still make up for what goes.
 _TURNING = {0.3: 0.2, 0.8: 1.0}
-# Views that tell it, as a share of the steps, and their least and greatest number: short trainings have no
-# time for more. They are half as large along each side, which takes less than half of the time of a step.
+# Views that tell it, half as large along each side: as a share of the steps, and their least and greatest
+# number.
 _TURNING_SHARE, _TURNING_VIEWS = 0.1, (8, 32)
 
 
@@ -104,8 +101,7 @@ class LayerTraining:
         self._pixel = pixel_footprint(views)
         labels = [view.instance for view in views if view.instance is not None]
         self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
-        # Where all that is seen moves, or nothing, there is nothing to tell. Where courses are known, labels
-        # are exact: nodes at edges that got others cost up to 0.8 dB.
+        # Where all or nothing moves, there is nothing to tell; labels of known courses are exact.
         partly = any(bool((label < 0).any()) for label in labels)
         self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
 
@@ -188,8 +184,7 @@ class LayerTraining:
     def separate_at_last(self) -> torch.Tensor | None:
         """Tells from all views which nodes move, and removes those that move and that none of them shows.
 
-        A field has led these behind something. Nobody will tell any more that they do not belong there.
-        Returns as `step`.
+        A field has led these behind something. Returns as `step`.
         """
         if not self._separates:
             return None
@@ -213,9 +208,11 @@ class LayerTraining:
         """Leaves harmonics to those nodes whose radiance is seen to turn, by a share of what is visible."""
         count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
         chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
-        views = [View(self.views[index].camera, self.views[index].time) for index in sorted(chosen)]
-        # Half as many pixels along each side.
-        views = [view.resized(view.camera.width // 2, view.camera.height // 2) for view in views]
+        views = []
+        for index in sorted(chosen):
+            camera = self.views[index].camera
+            whole = View(camera, self.views[index].time)
+            views.append(whole.resized(camera.width // 2, camera.height // 2))
         gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown, least)
         self._tree = replace(self._tree, gaussians=gaussians)
         self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
@@ -247,7 +244,6 @@ class LayerTraining:
         return measured(self._arrays, self._shown(view.time), view) if view.guessed else view
 
     def _shown(self, time: float) -> Gaussians:
-        """The nodes' Gaussians as they are at a time, without gradients."""
         gaussians = self._optimizer.gaussians
         if self._motion is None:
             return gaussians
@@ -288,13 +284,8 @@ class LayerTraining:
             self._order = tensors["order"]
 
 
-# Which Gaussians need harmonics above the constant one: those whose radiance is seen to turn with the view.
-# 3D Gaussian splatting gives them to all, most of which use them to fit noise. Here a Gaussian keeps them if
-# what training views see of it varies by more than an 8-bit display shows; the mean of what others lose goes
-# to their constant one.
-
-# Standard deviation over views, on the perceptual scale, that a Gaussian's radiance must have: one step of an
-# 8-bit display. Blended with others that do not vary with it, less of that is left in a pixel.
+# Standard deviation over views, on the perceptual scale, that a Gaussian's radiance must have to keep
+# harmonics above the constant one: one step of an 8-bit display. Others would use them to fit noise.
 _LEAST_DEVIATION = 1 / 255
 
 

@@ -6,10 +6,10 @@ Value and gradient come out of the same kernels: of a loss that is computed at e
 from __future__ import annotations
 
 import atexit
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -19,6 +19,14 @@ from torch.autograd.function import once_differentiable
 from compose.base.arrays import Arrays, constant
 from compose.base.frozen import collector_paused
 from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
+from splat.raster.differentiable import Context, detached
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt
+
+    # The maps' numbers at an index, under a mask; and what is stored there.
+    Load = Callable[[UInt, Bool], list[Float]]
+    Finish = Callable[[UInt, list[Float]], list[Float]]
 
 TAPS = 11
 _SIGMA = 1.5
@@ -55,7 +63,7 @@ class Axis:
         """Lanes per line."""
         return -(-self.after // _RUN)
 
-    def sizes(self, arrays: Arrays) -> list[Any]:
+    def sizes(self, arrays: Arrays) -> list[UInt]:
         """Pixels per line before and after, lanes per line, and floats per line, read from memory.
 
         The same kernels serve images of all sizes.
@@ -66,10 +74,10 @@ class Axis:
 def blur(
     arrays: Arrays,
     axis: Axis,
-    sizes: list[Any],
-    load: Callable[[Any, Any], Sequence[Any]],
-    finish: Callable[[Any, list[Any]], Sequence[Any]] = lambda index, sums: sums,
-) -> list[Any]:
+    sizes: list[UInt],
+    load: Load,
+    finish: Finish = lambda index, sums: sums,
+) -> list[Float]:
     """Applies the window along one axis to several maps at once.
 
     Args:
@@ -78,13 +86,13 @@ def blur(
         finish: what is stored at an index into the results, flat with `after` pixels per line, from the maps'
             blurred numbers there.
     """
-    Float, UInt, Int = arrays.plain.Float, arrays.plain.UInt, arrays.plain.Int
-    lane = dr.arange(UInt, axis.runs * axis.lines * CHANNELS)
+    plain = arrays.plain
+    lane = dr.arange(plain.UInt, axis.runs * axis.lines * CHANNELS)
     before, after, across_runs, stride = sizes
     if axis.is_horizontal:
         rest, channel = lane // CHANNELS, lane % CHANNELS
         line = rest // across_runs
-        first, stride = (rest - line * across_runs) * _RUN, UInt(CHANNELS)
+        first, stride = (rest - line * across_runs) * _RUN, plain.UInt(CHANNELS)
         start_in, start_out = line * before * CHANNELS + channel, line * after * CHANNELS + channel
     else:
         run = lane // stride
@@ -92,11 +100,11 @@ def blur(
         start_out = start_in
     columns = []
     for k in range(_RUN + TAPS - 1):
-        position = Int(first) + (k - axis.padding)
-        inside = (position >= 0) & (position < Int(before))
-        columns.append(load(start_in + UInt(dr.maximum(position, 0)) * stride, inside))
+        position = plain.Int(first) + (k - axis.padding)
+        inside = (position >= 0) & (position < plain.Int(before))
+        columns.append(load(start_in + plain.UInt(dr.maximum(position, 0)) * stride, inside))
     size = axis.lines * axis.after * CHANNELS
-    results: list[Any] = []
+    results: list[Float] = []
     for r in range(_RUN):
         sums = []
         for values in zip(*columns[r : r + TAPS], strict=True):
@@ -107,7 +115,7 @@ def blur(
         inside = first + r < after
         index = dr.select(inside, start_out + (first + r) * stride, 0)
         stored = finish(index, sums)
-        results = results or [dr.empty(Float, size) for _ in stored]
+        results = results or [dr.empty(plain.Float, size) for _ in stored]
         for result, value in zip(results, stored, strict=True):
             dr.scatter(result, value, index, inside, mode=dr.ReduceMode.Permute)
     dr.eval(results)
@@ -122,12 +130,10 @@ _BRIGHT_SLOPE = SRGB_SCALE / SRGB_GAMMA
 
 
 class FrameTarget:
-    """A frame to match.
+    """A frame to match: its radiance, (H, W, 3) linear, float32 or float16, at least 11 pixels a side.
 
     What depends on the frame alone is computed again each time: kept, it would take three times the memory of
     the frame, of every frame of a training, and save a fiftieth of a step.
-
-    The radiance, (H, W, 3) linear, float32 or float16, both sides at least 11 pixels, is kept, not copied.
     """
 
     def __init__(self, arrays: Arrays, radiance: torch.Tensor):
@@ -155,12 +161,12 @@ class FrameTarget:
         parts = (1 - SSIM_WEIGHT) / rendered.numel(), -SSIM_WEIGHT / windows
         shares = [constant(arrays.plain.Float, part) for part in parts]
         with collector_paused():
-            found = recorded(_flat(arrays, rendered), self._frame(), self._zero, sizes, shares)
+            found = recorded(detached(arrays, rendered), self._frame(), self._zero, sizes, shares)
         loss, error, gradient = (arrays.to_torch(array, rendered.device) for array in found)
         return loss[0], error.reshape(height, width), gradient.reshape(rendered.shape)
 
-    def _frame(self) -> Any:
-        return _flat(self._arrays, self._radiance.float())
+    def _frame(self) -> Float:
+        return detached(self._arrays, self._radiance.float())
 
 
 def _axes(width: int, height: int) -> list[Axis]:
@@ -170,7 +176,7 @@ def _axes(width: int, height: int) -> list[Axis]:
 
 
 @lru_cache(maxsize=16)
-def _recorded(arrays: Arrays, width: int, height: int) -> Any:
+def _recorded(arrays: Arrays, width: int, height: int) -> Callable[..., list[Float]]:
     """The kernels of a loss on images of one size; to trace them takes longer than small images do."""
     return dr.freeze(lambda *given: _Similarity(arrays, _axes(width, height), *given).loss_and_gradient())
 
@@ -189,11 +195,11 @@ class _Similarity:
         self,
         arrays: Arrays,
         axes: list[Axis],
-        rendered: Any,
-        frame: Any,
-        zero: Any,
-        sizes: list[list[Any]],
-        shares: list[Any],
+        rendered: Float,
+        frame: Float,
+        zero: Float,
+        sizes: list[list[UInt]],
+        shares: list[Float],
     ):
         self._arrays, self._axes, self._sizes = arrays, axes, sizes
         self._zero, (self._by_distance, self._by_similarity) = zero, shares
@@ -204,8 +210,7 @@ class _Similarity:
         self._distance = dr.abs(self._seen - self._own)
         dr.eval(self._seen, self._own, self._slope, self._distance)
 
-    def loss_and_gradient(self) -> list[Any]:
-        """Loss, error per pixel, and derivative of the loss by the radiance."""
+    def loss_and_gradient(self) -> list[Float]:
         error = dr.block_sum(self._distance, CHANNELS) / CHANNELS
         dissimilarity, *flow = self._compared()
         gradient = self._gradient(flow)
@@ -213,18 +218,18 @@ class _Similarity:
         dr.eval(error, loss)
         return [loss, error, gradient]
 
-    def _compared(self) -> list[Any]:
+    def _compared(self) -> list[Float]:
         """Per window 1 - SSIM, and SSIM's derivatives by the means of the image, its square and its product.
 
         The frame is the other factor of the product.
         """
-        Float = self._arrays.plain.Float
+        plain = self._arrays.plain
 
-        def load(index: Any, inside: Any) -> list[Any]:
-            a, b = (dr.gather(Float, image, index, inside) for image in (self._seen, self._own))
+        def load(index: UInt, inside: Bool) -> list[Float]:
+            a, b = (dr.gather(plain.Float, image, index, inside) for image in (self._seen, self._own))
             return [a, a * a, a * b, b, b * b]
 
-        def finish(index: Any, means: list[Any]) -> list[Any]:
+        def finish(index: UInt, means: list[Float]) -> list[Float]:
             mean, square, product, own_mean, own_square = means
             zero = self._zero_at(index)
             level, own_level = mean + zero, own_mean + zero
@@ -242,27 +247,27 @@ class _Similarity:
         rows = self._blurred(0, load)
         return self._blurred(1, self._loaded(rows), finish)
 
-    def _gradient(self, flow: list[Any]) -> Any:
+    def _gradient(self, flow: list[Float]) -> Float:
         """Derivative of the loss by the radiance from SSIM's derivatives by the means of `_compared`."""
-        Float = self._arrays.plain.Float
+        plain = self._arrays.plain
 
-        def finish(index: Any, sums: list[Any]) -> list[Any]:
-            a, b = (dr.gather(Float, image, index) for image in (self._seen, self._own))
+        def finish(index: UInt, sums: list[Float]) -> list[Float]:
+            a, b = (dr.gather(plain.Float, image, index) for image in (self._seen, self._own))
             by_seen = dr.fma(2 * a, sums[1], dr.fma(b, sums[2], sums[0]))
             sign = dr.select(a > b, self._by_distance, dr.select(a < b, -self._by_distance, 0))
-            return [dr.fma(self._by_similarity, by_seen, sign) * dr.gather(Float, self._slope, index)]
+            return [dr.fma(self._by_similarity, by_seen, sign) * dr.gather(plain.Float, self._slope, index)]
 
         rows = self._blurred(2, self._loaded(flow))
         return self._blurred(3, self._loaded(rows), finish)[0]
 
-    def _blurred(self, number: int, *what: Any) -> list[Any]:
-        return blur(self._arrays, self._axes[number], self._sizes[number], *what)
+    def _blurred(self, number: int, load: Load, *finish: Finish) -> list[Float]:
+        return blur(self._arrays, self._axes[number], self._sizes[number], load, *finish)
 
-    def _loaded(self, maps: list[Any]) -> Any:
+    def _loaded(self, maps: list[Float]) -> Load:
         Float = self._arrays.plain.Float
         return lambda index, inside: [dr.gather(Float, values, index, inside) for values in maps]
 
-    def _zero_at(self, index: Any) -> Any:
+    def _zero_at(self, index: UInt) -> Float:
         return dr.gather(self._arrays.plain.Float, self._zero, index % CHANNELS)
 
 
@@ -270,8 +275,8 @@ class _Loss(torch.autograd.Function):
     """The bridge: torch holds the image, Dr.Jit computes loss and gradient."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any, target: FrameTarget, rendered: torch.Tensor
+    def forward(  # type: ignore[override]  # the stub takes any
+        ctx: Context, target: FrameTarget, rendered: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         loss, error, gradient = target.loss_and_gradient(rendered)
         ctx.save_for_backward(gradient)
@@ -280,18 +285,15 @@ class _Loss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, by_loss: torch.Tensor, _: torch.Tensor) -> tuple[None, torch.Tensor]:
+    def backward(ctx: Context, by_loss: torch.Tensor, _: torch.Tensor) -> tuple[None, torch.Tensor]:
         (gradient,) = ctx.saved_tensors
         return None, gradient * by_loss
 
 
-def _flat(arrays: Arrays, image: torch.Tensor) -> Any:
-    return dr.detach(arrays.from_torch(image), preserve_type=False)
-
-
-def _logarithmic(radiance: Any) -> tuple[Any, Any]:
+def _logarithmic(radiance: Float) -> tuple[Float, Float]:
     """The sRGB curve up to 1 and a logarithm above, so that lamps do not rule the loss; and its slope."""
-    middle = dr.maximum(dr.minimum(radiance, 1), SRGB_DARK)
+    up_to_white = dr.minimum(radiance, 1)
+    middle = dr.maximum(up_to_white, SRGB_DARK)
     power = dr.exp2(dr.log2(middle) * (1 / SRGB_GAMMA))
     above = dr.maximum(radiance, 1)
     curve = dr.fma(SRGB_SCALE, power, -SRGB_OFFSET)

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from splat.model.gaussians import Gaussians, written
-from splat.model.layer import BACKGROUND, Layer
 from splat.model.motion import Dynamics
+from splat.model.points import Bits, Floats, Ints
+from splat.model.trees import BACKGROUND, Layer
 from splat.raster.differentiable import contributions
 from splat.training.training_view import TrainingView
 
@@ -35,7 +36,7 @@ class Attachment:
         self._off = shown.longest.double().numpy() + _OFF * self._distance
         self._slope = _slope(view.distance)
 
-    def on(self, labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def on(self, labels: NDArray[np.int32]) -> Bits:
         """(N, C) whether nodes are, within their size, on a surface with a label (C,) around their centre.
 
         At an edge in the view, a node in front is so on the surface in front only.
@@ -48,7 +49,7 @@ class Attachment:
             found |= self._near(at)[:, None] & (self._instance[at][:, None] == labels)
         return found
 
-    def ways(self, label: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def ways(self, label: int) -> tuple[Floats, Bits]:
         """Ways (N, 3) to the planes of a label at centres, 0 where not near, and (N,) which are near."""
         at = self._row, self._column
         camera = self._view.camera
@@ -60,7 +61,7 @@ class Attachment:
         way = ((seen - self._means) * normal).sum(axis=1, keepdims=True) * normal
         return np.where(near[:, None], way, 0), near
 
-    def _near(self, at: tuple[NDArray[np.int64], NDArray[np.int64]]) -> NDArray[np.bool_]:
+    def _near(self, at: tuple[Ints, Ints]) -> Bits:
         """(N,) whether nodes are about as far away as what pixels (N,), around their centres, show."""
         near = np.abs(self._view.distance[at] - self._distance) < self._off + self._slope[at]
         return np.asarray(self._inside & near)
@@ -101,8 +102,7 @@ def evidence_of(
 ) -> Evidence:
     """What nodes contribute to pixels of views, labelled by instances, each shown at the time of the view.
 
-    A view tells of those nodes only that are on the surface that it sees: one that something has left behind,
-    or that does not follow it yet, is drawn in front of what stands still, but is no part of that.
+    A view tells of those nodes only that are on the surface that it sees, not of what is in front of it.
     """
     count = len(layer)
     sums, times, most = torch.zeros(count, 1 + instances), torch.zeros(count, 2), torch.zeros(count, 2)
@@ -130,12 +130,11 @@ def evidence_of(
 
 
 def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
-    """The nodes with labels that follow what they contribute to.
+    """The nodes with labels that follow what they contribute to; those that hardly contribute keep theirs.
 
-    More than half of what a dynamic node contributes is to pixels of what moves; its instance is the one that
-    it contributes most to. Nodes that hardly contribute keep their labels. A node whose labels change stays
-    where it was shown when it contributed most to what its new labels say. One that stands still is put on
-    the surface that views see there, if it is farther from it than it is large.
+    More than half of what a dynamic node contributes is to pixels of what moves, most of it to its instance.
+    A node whose labels change stays where it was shown when it contributed most to what its new labels say.
+    One that stands still is put on the surface there, if it is farther from it than it is large.
     """
     # Pixels of what nodes are on the surface of.
     total = evidence.sums.sum(dim=1)

@@ -1,8 +1,7 @@
 """Which pixels show something that moves, and which object, from frames without masks.
 
-Fov-GS (section 3.2) looks at the optical flow between a frame and a forest that stands still. Flow is unsure
-where nothing is textured, and shadows flow as well. Here a pixel must refute that it stands still. What it
-shows is looked for, at the same place, in frames of other times:
+Fov-GS (section 3.2) looks at the optical flow between a frame and a forest that stands still; but shadows
+flow as well. Here, what a pixel shows is looked for, at the same place, in frames of other times:
 
 1. Another frame looks through that place: what was there has gone. Sure wherever distances are, whether
    there is texture or not.
@@ -17,17 +16,124 @@ What is hidden in another frame says nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, minimum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch.nn.functional import avg_pool2d
 
-from splat.training.observation import Observation, surfaces_of
+from compose.camera.camera import Camera
+from splat.model.points import Bits, Floats, Ints
+
+# Added to radiance before its logarithm is taken.
+_DARK = 0.01
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One frame of something that may move."""
+
+    camera: Camera
+    radiance: NDArray[np.float32]  # (H, W, 3) float32, linear
+    # (H, W) float32 along the ray to what is seen, known or rendered; inf where nothing is
+    distance: NDArray[np.float32]
+    time: float  # that the frame shows, from 0 to 1
+    albedo: NDArray[np.float32] | None = None  # (H, W, 3) float32; None if it is not known
+
+    @cached_property
+    def appearance(self) -> NDArray[np.float32]:
+        """(H, W, 3) what surfaces look like whatever the light: albedo, else the logarithm of radiance.
+
+        A light that changes by a factor adds the same to that logarithm everywhere.
+        """
+        if self.albedo is not None:
+            return self.albedo
+        return np.log(np.maximum(self.radiance, 0) + _DARK).astype(np.float32)
+
+    @property
+    def known(self) -> Bits:
+        """(H, W) whether anything is seen at a distance."""
+        return np.isfinite(self.distance) & (self.distance > 0)
+
+    @cached_property
+    def inverse_depth(self) -> NDArray[np.float32]:
+        """(H, W) one over the depth along the view axis, linear in the frame on a plane; 0 at infinity."""
+        rays = self.camera.rays(self.camera.pixel_centres())
+        cosine = (rays @ self.camera.world_to_camera[2, :3]).reshape(self.distance.shape)
+        depth = np.where(self.known, self.distance, 1) * cosine
+        return np.where(self.known, 1 / depth, 0).astype(np.float32)
+
+    @cached_property
+    def nearest(self) -> NDArray[np.float32]:
+        """(H, W) nearest depth within a pixel of each; infinite where nothing is."""
+        return _depths(-minimum_filter(-self.inverse_depth, 3))
+
+    @cached_property
+    def farthest(self) -> NDArray[np.float32]:
+        """(H, W) farthest depth within a pixel of each; infinite where nothing is."""
+        return _depths(minimum_filter(self.inverse_depth, 3))
+
+    @cached_property
+    def points(self) -> Floats:
+        """(H, W, 3) world positions of what is seen; NaN where nothing is."""
+        rays = self.camera.rays(self.camera.pixel_centres()).reshape(*self.distance.shape, 3)
+        distance = np.where(self.known, self.distance.astype(np.float64), np.nan)
+        return self.camera.position + rays * distance[..., None]
+
+
+def _depths(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.where(inverse > 0, 1 / np.where(inverse > 0, inverse, 1), np.inf).astype(np.float32)
+
+
+# Pixels that neighbours on one surface may lie apart, across it.
+_STEP = 2.0
+# Largest difference of appearance between neighbours on one surface.
+_ALIKE = 0.08
+
+
+def surfaces_of(points: Floats, appearance: NDArray[np.float32]) -> Ints:
+    """(H, W) number of the surface that each pixel shows, from 0; -1 for none.
+
+    Neighbouring pixels show the same surface if one lies in the plane of the other, or nearly, and they look
+    nearly alike. Points (H, W, 3) are in world space, NaN where nothing is seen; appearance is (H, W, 3).
+    """
+    height, width = points.shape[:2]
+    known = np.asarray(np.isfinite(points).all(axis=-1))
+    normal, size = _planes(points)
+    number = np.arange(height * width).reshape(height, width)
+    links = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        way = points[b] - points[a]
+        across = [np.abs((normal[side] * way).sum(axis=-1)) / size[side] for side in (a, b)]
+        alike = np.abs(appearance[b] - appearance[a]).max(axis=-1) < _ALIKE
+        joined = known[a] & known[b] & alike & (np.minimum(*across) < _STEP)
+        links.append((number[a][joined], number[b][joined]))
+    first, second = (np.concatenate(part) for part in zip(*links, strict=True))
+    graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(number.size, number.size))
+    _, found = connected_components(graph, directed=False)
+    return np.where(known, found.reshape(height, width), -1).astype(np.int64)
+
+
+def _planes(points: Floats) -> tuple[Floats, Floats]:
+    """(H, W, 3) unit normals, of the flatter side of each pixel, and (H, W) sizes of pixels."""
+    steps = []
+    for axis in (0, 1):
+        ahead = np.diff(points, axis=axis, append=np.nan)
+        behind = np.diff(points, axis=axis, prepend=np.nan)
+        lengths = [np.where(np.isnan(s[..., 0]), np.inf, (s**2).sum(axis=-1)) for s in (ahead, behind)]
+        steps.append(np.where((lengths[0] <= lengths[1])[..., None], ahead, behind))
+    normal = np.cross(steps[0], steps[1])
+    length = np.linalg.norm(normal, axis=-1)
+    size = np.minimum(*(np.linalg.norm(step, axis=-1) for step in steps))
+    unit = normal / np.where(length > 0, length, 1)[..., None]
+    return np.nan_to_num(unit), np.nan_to_num(size, nan=np.inf) + 1e-12
+
 
 # Relative difference of depths that counts as none.
 _TOLERANCE = 0.005
@@ -39,9 +145,8 @@ _CHANGED = 1 / 3
 _LEAST_COMPARED = 2
 # Frames at most that each is looked for in, and nearest ones whose patches it is compared with.
 _MOST_FRAMES, _COMPARED = 32, 10
-# Degrees between the rays along which two frames see a point: seen from elsewhere, what is glossy looks
-# different although it stands still. On a ball of rough metal 0.1 % of patches do up to here, 18 % up to
-# twice as far.
+# Degrees between the rays along which two frames see a point: of a ball of rough metal 0.1 % of patches look
+# different up to here, 18 % up to twice as far.
 _SAME_VIEW = 3.0
 # Side in pixels of patches, and the least deviation within one that is texture.
 _PATCH, _TEXTURE = 5, 0.09
@@ -52,24 +157,22 @@ _MOST_OF_IT = 0.3
 _Votes = NDArray[np.int32]
 
 
-def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
+def moving_pixels(observations: Sequence[Observation]) -> list[Bits]:
     """(H, W) for each frame of a scene, which pixels show something that moves: nothing at a single time."""
-    return [_refined(observations, index) for index in range(len(observations))]
-
-
-def _refined(frames: Sequence[Observation], index: int) -> NDArray[np.bool_]:
-    """The votes on a frame, without lone pixels, and over the whole of surfaces most of which moves."""
-    gone, there, changed, compared = _votes(frames, index)
-    has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
-    moves = median_filter((gone > _GONE * (gone + there)) | has_changed, 3)
-    if not moves.any():
-        return moves
-    frame = frames[index]
-    surface = surfaces_of(frame.points, frame.appearance)
-    known = surface >= 0
-    pixels = np.maximum(np.bincount(surface[known]), 1)
-    share = np.bincount(surface[known], weights=moves[known]) / pixels
-    return moves | (known & (share >= _MOST_OF_IT)[surface])
+    found = []
+    for index, frame in enumerate(observations):
+        gone, there, changed, compared = _votes(observations, index)
+        has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
+        # Without lone pixels, and over the whole of surfaces most of which moves.
+        moves = median_filter((gone > _GONE * (gone + there)) | has_changed, 3)
+        if moves.any():
+            surface = surfaces_of(frame.points, frame.appearance)
+            known = surface >= 0
+            pixels = np.maximum(np.bincount(surface[known]), 1)
+            share = np.bincount(surface[known], weights=moves[known]) / pixels
+            moves |= known & (share >= _MOST_OF_IT)[surface]
+        found.append(moves)
+    return found
 
 
 def _votes(frames: Sequence[Observation], index: int) -> list[_Votes]:
@@ -93,7 +196,6 @@ def _votes(frames: Sequence[Observation], index: int) -> list[_Votes]:
 
 
 def _look_through(frame: Observation, other: Observation, gone: _Votes, there: _Votes) -> None:
-    """Adds the vote of another frame on where a frame's points have gone and where they may be."""
     pixels, position, depth = _projected(frame, other)
     column, row = position.astype(np.int64).T
     # What lies in front of all that the nine pixels around a place show, cannot be among them.
@@ -104,9 +206,7 @@ def _look_through(frame: Observation, other: Observation, gone: _Votes, there: _
     there.ravel()[pixels[is_there]] += 1
 
 
-def _projected(
-    frame: Observation, other: Observation
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def _projected(frame: Observation, other: Observation) -> tuple[Ints, Floats, Floats]:
     """Row-major indices (M,) of those points that lie within another frame, at least a pixel from its border.
 
     And their positions (M, 2) in it and depths (M,).
@@ -121,8 +221,11 @@ def _projected(
 def _compare(frame: Observation, other: Observation, changed: _Votes, compared: _Votes) -> None:
     """Adds the vote of a near view on whether patches at the same place look alike."""
     found = _projected(frame, other)
-    same = _from_same_side(frame, other, found[0])
-    pixels, position, depth = (part[same] for part in found)
+    points = frame.points.reshape(-1, 3)[found[0]]
+    rays = [points - one.camera.position for one in (frame, other)]
+    lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
+    cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
+    pixels, position, depth = (part[cosine > np.cos(np.radians(_SAME_VIEW))] for part in found)
     shape = frame.distance.shape
     corner = (position - 0.5).astype(np.int64)
     (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
@@ -140,18 +243,9 @@ def _compare(frame: Observation, other: Observation, changed: _Votes, compared: 
     changed += differs
 
 
-def _from_same_side(frame: Observation, other: Observation, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(M,) whether both frames see what pixels show along nearly the same direction."""
-    points = frame.points.reshape(-1, 3)[pixels]
-    rays = [points - one.camera.position for one in (frame, other)]
-    lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
-    cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
-    return cosine > np.cos(np.radians(_SAME_VIEW))
-
-
 def _difference(
     a: NDArray[np.float32], b: NDArray[np.float32], seen: NDArray[np.float32], is_albedo: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[Bits, Bits]:
     """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
 
     `seen` (H, W) is 1 where both show a surface at the same place, else 0. Of albedo, a change of brightness
@@ -159,7 +253,10 @@ def _difference(
     """
     squares = [(image * other).sum(axis=-1) for image, other in ((a, a), (b, b), (a, b))]
     channels = (*np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0))
-    weight, *means = _patch_means([np.ones_like(seen), *channels, *squares], seen)
+    # Weighted means over patches; of the first, the mean weight.
+    stacked = torch.from_numpy(np.stack([np.ones_like(seen), *channels, *squares]) * seen)
+    weight, *sums = avg_pool2d(stacked[None], _PATCH, stride=1, padding=_PATCH // 2)[0].numpy()
+    means = [total / np.maximum(weight, 1e-6) for total in sums]
     mean_a, mean_b = np.stack(means[:3], axis=-1), np.stack(means[3:6], axis=-1)
     variance_a = np.maximum(means[6] - (mean_a**2).sum(axis=-1), 0)
     variance_b = np.maximum(means[7] - (mean_b**2).sum(axis=-1), 0)
@@ -174,14 +271,6 @@ def _difference(
     return usable, usable & (other_colour | (textured & uncorrelated))
 
 
-def _patch_means(images: list[NDArray[np.float32]], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(C, H, W) weighted means of C images (H, W) over patches; of the first one, the mean weight instead."""
-    stacked = torch.from_numpy(np.stack(images) * weight)
-    sums = avg_pool2d(stacked[None], _PATCH, stride=1, padding=_PATCH // 2)[0].numpy()
-    sums[1:] /= np.maximum(sums[0], 1e-6)
-    return np.asarray(sums)
-
-
 # Points of what moves, about, from which objects are made.
 _POINTS = 8000
 # Distance up to which two points at the same time are of one object, in units of the median distance of what
@@ -191,9 +280,7 @@ _NEAR = 0.06
 _LEAST = 0.02
 
 
-def objects_of(
-    observations: Sequence[Observation], moving: Sequence[NDArray[np.bool_]]
-) -> list[NDArray[np.int32]]:
+def objects_of(observations: Sequence[Observation], moving: Sequence[Bits]) -> list[NDArray[np.int32]]:
     """(H, W) for each frame, which object a pixel shows, from 0; -1 for what stands still.
 
     Points are of one object if they are near each other in space and in time, or if others lead from one to
@@ -216,9 +303,7 @@ def objects_of(
     return found
 
 
-def _clouds(
-    observations: Sequence[Observation], shown: Sequence[NDArray[np.bool_]]
-) -> list[NDArray[np.float64]]:
+def _clouds(observations: Sequence[Observation], shown: Sequence[Bits]) -> list[Floats]:
     """For each frame (M, 4) the points of what moves, and when, in units of how far apart points may be."""
     distances = [one.distance[mask] for one, mask in zip(observations, shown, strict=True)]
     near = _NEAR * float(np.median(np.concatenate(distances))) if sum(map(len, distances)) else 1.0
@@ -230,7 +315,7 @@ def _clouds(
     ]
 
 
-def _numbers(points: NDArray[np.float64]) -> NDArray[np.int32]:
+def _numbers(points: Floats) -> NDArray[np.int32]:
     """(N,) object of each point (N, 4), by links of length 1 at most."""
     pairs = cKDTree(points).query_pairs(1.0, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))

@@ -19,10 +19,8 @@ from compose.base.files import under
 from splat.model.choices import Labels, MotionModel
 from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.forest import Forest
-from splat.model.layer import NO_PARENT, Layer, without_parents
-from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics, NodeMotion
-from splat.model.trees import build_forest, settle
+from splat.model.motion import Dynamics, LearnedMotion, NodeMotion
+from splat.model.trees import NO_PARENT, Layer, build_forest, settle, without_parents
 from splat.training.field_training import FieldOptimizer, register
 from splat.training.initialization import seed_from_views
 from splat.training.layer_training import LayerTraining
@@ -40,8 +38,7 @@ from splat.training.training_view import (
 _ALONE = 0.4
 # The same where the finest layer is known from an earlier training, and grows by what that did not know.
 _ALONE_AGAIN = 0.6
-# Share of the later steps that the finest layer gets: it has four times the pixels of the next one, and it
-# is what the viewer sees nearest to the gaze.
+# Share of the later steps that the finest layer gets, which has four times the pixels of the next one.
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
@@ -57,6 +54,8 @@ _FIELD = "field."
 class TrainingSettings:
     """Settings of a training.
 
+    UserError if the seed is out of range; ValueError if a number is out of range.
+
     Attributes:
         iterations: optimizer steps over all layers, one frame each.
         gaussians: number of Gaussians in the finest layer at the end.
@@ -68,10 +67,6 @@ class TrainingSettings:
         all_harmonics: whether Gaussians whose radiance is not seen to turn with the view keep harmonics above
             the constant one.
         half_frames: whether frames are kept in half precision, which holds radiance up to 65,504.
-
-    Raises:
-        UserError: the seed is out of range.
-        ValueError: a number is out of range.
     """
 
     iterations: int = 3000
@@ -108,22 +103,19 @@ def most_layers(width: int, height: int) -> int:
 class Trainer:
     """Trains a forest; its whole state can be saved between two steps and restored.
 
+    ValueError if no frame is finite, none shows a surface, or they are too small for the layers.
+
     Args:
-        views: frames to train on, of any sizes, in world space; those with numbers that are not finite are
-            left out.
+        views: frames to train on, of any sizes, in world space.
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
         motion: of the instances that the views show, in world space; None if nothing moves, and if a field
             learns it.
         light: on the surfaces that they show, in world space; None if it does not change.
 
     Attributes:
-        place: the coordinates in which the Gaussians are trained, and of what follows.
-        motion, light: known or learned; None as above.
-        dropped: number of frames that were left out.
+        place: the coordinates in which the Gaussians are trained; motion and light are in them, too.
+        dropped: number of frames that were left out, which have numbers that are not finite.
         iteration: steps so far.
-
-    Raises:
-        ValueError: no frame is finite, none shows a surface, or they are too small for the layers.
     """
 
     def __init__(
@@ -140,12 +132,24 @@ class Trainer:
         self.dropped = len(views) - len(finite)
         _require_enough(views, finite, settings)
         self.place = place_of(finite) if start is None else start.place
-        views = [_labelled(placed(view, self.place), settings.motion) for view in finite]
+        views = [placed(view, self.place) for view in finite]
+        if settings.motion.field is not None:
+            # What is deformed is one instance, unless labels tell what is.
+            keep = settings.motion is MotionModel.D_GS_OF_DYNAMIC
+            whole = lambda view: np.zeros(view.distance.shape, dtype=np.int32)  # noqa: E731
+            views = [
+                view if keep and view.instance is not None else replace(view, instance=whole(view))
+                for view in views
+            ]
         self.motion: Dynamics | None = None if motion is None else motion.placed(self.place)
         self.light = None if light is None else light.placed(self.place)
         self._field: FieldOptimizer | None = None
         if settings.motion.field is not None:
-            self.motion = learned = LearnedMotion.begun(settings.motion.field, *_box(views), settings.seed)
+            points = np.concatenate([view.points(view.some_surface_pixels) for view in views])
+            # The box around the surfaces that views show, the sky apart.
+            ends = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.ones(3))
+            low, high = (torch.from_numpy(end).float() for end in ends)
+            self.motion = learned = LearnedMotion.begun(settings.motion.field, low, high, settings.seed)
             if settings.motion is MotionModel.D_GS_OF_DYNAMIC:
                 register(learned, views, settings.iterations, settings.seed)
             self._field = FieldOptimizer(learned, settings.iterations)
@@ -172,7 +176,6 @@ class Trainer:
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def _scheduled(self) -> list[int]:
-        """The steps of each layer, once they are scheduled."""
         self._schedule = training_schedule(self.settings, self._alone)
         self._settling = int(_SETTLED * self.settings.iterations)
         return np.bincount(self._schedule, minlength=self.settings.layers).clip(min=1).tolist()
@@ -180,8 +183,7 @@ class Trainer:
     def last(self, iterations: int) -> None:
         """Makes it so many steps in all, while there is one layer yet.
 
-        Raises:
-            ValueError: some of these steps would have been of other layers.
+        ValueError if some of these steps would have been of other layers.
         """
         if self.iteration > _ALONE * min(iterations, self.settings.iterations):
             raise ValueError(f"after {self.iteration} steps, there cannot be {iterations} in all any more")
@@ -256,8 +258,7 @@ class Trainer:
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Restores what `state` returned.
 
-        Raises:
-            ValueError, KeyError: it belongs to a training with other settings, or a part is missing.
+        ValueError, KeyError if it belongs to a training with other settings, or a part is missing.
         """
         if numbers["settings"] != asdict(self.settings):
             raise ValueError("the checkpoint belongs to a training with other settings")
@@ -270,26 +271,9 @@ class Trainer:
         self.iteration = int(numbers["iteration"])
 
 
-def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:
-    """A view in which everything that is deformed is one instance, if it is by a field."""
-    has_labels = motion is MotionModel.D_GS_OF_DYNAMIC and view.instance is not None
-    if motion.field is None or has_labels:
-        return view
-    return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
-
-
-def _box(views: list[TrainingView]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners (3,) of the box around the surfaces that views show, the sky apart."""
-    points = np.concatenate([view.points(view.some_surface_pixels) for view in views])
-    if not len(points):
-        return torch.zeros(3), torch.ones(3)
-    return torch.from_numpy(points.min(axis=0)).float(), torch.from_numpy(points.max(axis=0)).float()
-
-
 def _require_enough(
     views: list[TrainingView], finite: list[TrainingView], settings: TrainingSettings
 ) -> None:
-    """Checks that there are frames to learn from, and that they are large enough for all layers."""
     if not finite:
         raise ValueError(f"none of {len(views)} frames holds only finite numbers; capture them again")
     finest = [view.camera for view in finite if view.camera.fy == finest_focal(finite)]

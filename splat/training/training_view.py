@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import Place, place_around
-from splat.training.sky import SKY_DISTANCE, shows_sky
+from splat.model.points import Bits, Floats, Ints
 
 # Pixels of a view, about, from which medians are found.
 _SAMPLED = 4096
@@ -18,6 +18,15 @@ _SAMPLED = 4096
 _LARGEST_HALF = float(np.finfo(np.float16).max)
 # Degrees from the axis up to which pixels count as equally large.
 _WIDE = 45.0
+# In units of a place, 25,000 times the median distance of what is seen: seven such distances away, a viewer
+# sees the sky moved by half a pixel of 1,920 over 60 degrees. Surfaces farther away are drawn there, too.
+SKY_DISTANCE = 1e5
+# Share of the median radiance of a frame below which nothing is drawn.
+_DARK = 1e-3
+# Share of dark pixels, among those that hit nothing, above which there is no sky, but a void.
+_MOST_DARK = 0.8
+# Pixels around those that see nothing at all that are not the sky: what is bright there belongs to an edge.
+_EDGE = 2
 
 
 @dataclass(frozen=True)
@@ -25,11 +34,10 @@ class TrainingView:
     """One frame to train on."""
 
     camera: Camera
-    radiance: NDArray[np.floating[Any]]  # (H, W, 3) linear, float32 or float16
-    # (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected surface
-    # appears behind it; inf where nothing is hit.
+    radiance: NDArray[np.floating]  # (H, W, 3) linear, float32 or float16
+    # (H, W) float32 along the ray to the visible surface, or the one that a mirror shows; inf if none is hit
     distance: NDArray[np.float32]
-    normal: NDArray[np.floating[Any]]  # (H, W, 3) in world space, of the same type, zero where it is unknown
+    normal: NDArray[np.floating]  # (H, W, 3) in world space, of the same type, zero where it is unknown
     sky: float = np.inf  # distance of pixels that show the sky, and no surface; inf for a view of the world
     time: float = 0.0  # that the view shows, from 0 to 1
     # (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
@@ -43,42 +51,42 @@ class TrainingView:
         finite = np.isfinite(self.radiance).all() and np.isfinite(self.normal).all()
         return bool(finite and (self.distance >= 0).all())
 
-    def instances(self, pixels: NDArray[np.int64]) -> NDArray[np.int32]:
+    def instances(self, pixels: Ints) -> NDArray[np.int32]:
         """(M,) instances that pixels show, row-major indices (M,); -1 for none."""
         if self.instance is None:
             return np.full(len(pixels), -1, dtype=np.int32)
         return self.instance.ravel()[pixels]
 
     @property
-    def surface_pixels(self) -> NDArray[np.int64]:
+    def surface_pixels(self) -> Ints:
         """Row-major indices of the pixels that show a surface, or the sky where it has a place."""
         distance = self.distance.ravel()
         # A camera on a surface has no way to it along which anything could be placed.
         return np.flatnonzero(np.isfinite(distance) & (distance > 0))
 
     @property
-    def sky_pixels(self) -> NDArray[np.int64]:
+    def sky_pixels(self) -> Ints:
         """Row-major indices of the pixels that show the sky; none in a view of the world."""
         distance = self.distance.ravel()
         return np.flatnonzero(np.isfinite(distance) & (distance >= self.sky))
 
     @property
-    def some_surface_pixels(self) -> NDArray[np.int64]:
+    def some_surface_pixels(self) -> Ints:
         """An even part of the pixels that show a surface and not the sky, enough for a median."""
         seen = np.setdiff1d(self.surface_pixels, self.sky_pixels, assume_unique=True)
         return seen[:: max(1, len(seen) // _SAMPLED)]
 
-    def points(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    def points(self, pixels: Ints) -> Floats:
         """World positions (M, 3) of what pixels show, given by row-major indices (M,)."""
         distance = self.distance.ravel()[pixels].astype(np.float64)
         return self.camera.position + self.rays(pixels) * distance[:, None]
 
-    def rays(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    def rays(self, pixels: Ints) -> Floats:
         """Unit directions (M, 3) in world space through the centres of pixels, row-major indices (M,)."""
         centres = np.stack([pixels % self.camera.width + 0.5, pixels // self.camera.width + 0.5], axis=1)
         return self.camera.rays(centres)
 
-    def pixel_sizes(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    def pixel_sizes(self, pixels: Ints) -> Floats:
         """(M,) size of pixels, at the distance of what they show, across the ray."""
         rays = self.rays(pixels)
         # A pixel's solid angle falls as the cube of the cosine. It matters where the field of view is wide.
@@ -88,19 +96,29 @@ class TrainingView:
 
 
 def in_half_precision(view: TrainingView) -> TrainingView:
-    """The view with radiance and normals in half precision; what is brighter than that holds is cut there.
-
-    What is not finite remains so.
-    """
+    """The view with radiance and normals in half precision; finite radiance that exceeds it is clamped."""
     radiance = np.where(np.isinf(view.radiance), view.radiance, np.minimum(view.radiance, _LARGEST_HALF))
     return replace(view, radiance=radiance.astype(np.float16), normal=view.normal.astype(np.float16))
+
+
+def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> Bits:
+    """Mask (H, W) of the pixels that see light and hit nothing: their distance along the ray is inf."""
+    missed = np.isinf(distance)
+    if not missed.any():
+        return missed
+    brightness = radiance.max(axis=2)
+    lit = brightness > 0
+    dark = brightness <= (_DARK * np.median(brightness[lit]) if lit.any() else 0)
+    if dark[missed].mean() > _MOST_DARK:
+        return np.zeros_like(missed)
+    nothing = binary_dilation(missed & dark, np.ones((2 * _EDGE + 1,) * 2))
+    return np.asarray(missed & ~nothing)
 
 
 def place_of(views: list[TrainingView]) -> Place:
     """The coordinates for Gaussians that are trained on views: amid what these see.
 
-    Raises:
-        ValueError: no view shows a surface.
+    ValueError if no view shows a surface.
     """
     seen = [(view, view.some_surface_pixels) for view in views]
     distance = np.concatenate([view.distance.ravel()[pixels] for view, pixels in seen])

@@ -40,8 +40,7 @@ from splat.io.gltf_gaussians import gaussians_from, save_glb
 from splat.io.ply import load_ply, save_ply
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from tests import posed, small
 from tests.hybrid.study.studies import design, finish
 from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, bending_tube

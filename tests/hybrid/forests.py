@@ -12,8 +12,7 @@ from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Gaussians
-from splat.model.layer import static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from splat.training.initialization import seed_at
 from splat.training.training_view import TrainingView
 from tests import small

@@ -24,7 +24,7 @@ from splat.lod import forest_renderer as lod_renderer
 from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import LayerImage
 from splat.model.forest import forest_of
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from splat.raster.tiles import TILE, TileGrid
 from tests.compose.arrays_of import host
 from tests.properties import twin

@@ -42,8 +42,9 @@ from hybrid.window.remote.protocol import (
     Welcome,
 )
 from splat.io.forest_file import load_forest
-from splat.model.cuts import Bits, CutTree
 from splat.model.forest import Forest
+from splat.model.hierarchy import CutTree
+from splat.model.points import Bits
 
 # Seconds until a lost connection is made again, the first time and at most, and until a silent one counts as
 # lost.

@@ -7,8 +7,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from splat.model.cuts import Bits
-from splat.model.points import Ints
+from splat.model.points import Bits, Ints
 
 # Bits of a gap in each of its bytes, and bytes that a gap takes at most: over 200 million nodes.
 _BITS, _MOST_BYTES = 7, 4

@@ -47,8 +47,8 @@ from hybrid.window.remote.protocol import (
 )
 from hybrid.window.remote.view_cuts import ViewCuts, with_hierarchy
 from splat.io.forest_file import save_forest
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
+from splat.model.points import Bits
 
 _LOG = logging.getLogger("hybrid")
 # Masks on their way to a client, or back as an answer: at 60 per second, .4 seconds of them, for which one

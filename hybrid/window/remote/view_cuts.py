@@ -11,9 +11,9 @@ from hybrid.base.compute_device import device_arrays
 from hybrid.render.frame_settings import MOST_LEVEL, FrameSettings
 from hybrid.render.periphery import continuous_levels
 from hybrid.window.remote.protocol import ViewMessage
-from splat.model.cuts import Bits
 from splat.model.forest import Forest
-from splat.raster.complete_cut import CompleteCuts
+from splat.model.points import Bits
+from splat.raster.cut import CompleteCuts
 
 # Cut-offs do not depend on what layers there are.
 _LAYERS = LayerRange(1.0, (0,))

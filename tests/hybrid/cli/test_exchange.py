@@ -34,8 +34,8 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home", "few_steps")
 
 @pytest.fixture
 def few_steps(monkeypatch):
-    monkeypatch.setattr("splat.training.display_fit._STEPS", 12)
-    monkeypatch.setattr("splat.training.display_fit._PER_VIEW", 0)
+    monkeypatch.setattr("splat.training.picture_fit._STEPS", 12)
+    monkeypatch.setattr("splat.training.picture_fit._PER_VIEW", 0)
 
 
 @pytest.mark.parametrize(("options", "number"), [(["--layer", 1], 1), (["--layer", 2], 2), ([], 2)])
@@ -64,7 +64,7 @@ def test_a_forest_that_does_not_tell_its_views_is_exported(made, monkeypatch, tm
 
 def test_what_is_exported_looks_like_the_forest(made, monkeypatch, tmp_path):
     """By the rules of 3D Gaussian splatting, from where nobody looked before."""
-    monkeypatch.setattr("splat.training.display_fit._STEPS", 60)
+    monkeypatch.setattr("splat.training.picture_fit._STEPS", 60)
     assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.ply") == 0
     forest = load_forest(made / "box.forest")
     view = views_of(forest)[1].moved_right(0.05)

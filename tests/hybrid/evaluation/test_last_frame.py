@@ -14,8 +14,8 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import SH_DC, Gaussians
-from splat.model.layer import Layer
 from splat.model.motion import NodeMotion
+from splat.model.trees import Layer
 
 # Looks along z at a wall of nodes in the plane z = 0.
 POSE = np.eye(4)

@@ -14,9 +14,9 @@ from compose.camera.coordinate_systems import Place
 from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import triangles_of
-from splat.model.layer import Layer
 from splat.model.motion import Dynamics
 from splat.model.points import remoteness
+from splat.model.trees import Layer
 
 Array = NDArray[np.float64]
 

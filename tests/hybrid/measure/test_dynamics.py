@@ -10,8 +10,8 @@ import torch
 
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.gaussians import Gaussians
-from splat.model.layer import static_layer
 from splat.model.motion import NodeMotion
+from splat.model.trees import static_layer
 from tests.hybrid.measure.motion_truth import Triangles, nodes_that_move
 from tests.moving import WAY, moving_corner
 

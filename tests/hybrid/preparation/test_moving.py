@@ -29,7 +29,7 @@ from splat.io.forest_file import load_forest, save_forest
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.choices import MotionModel
 from splat.model.forest import Forest
-from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import LearnedMotion
 from splat.training.trainer import TrainingSettings
 from tests import small
 from tests.hybrid.preparation.conftest import ignore

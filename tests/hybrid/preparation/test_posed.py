@@ -18,7 +18,7 @@ from pathtrace.dataset.frame_set import FrameSet
 from pathtrace.dataset.posed_images import read_pixels
 from splat.io.forest_file import load_forest
 from splat.model.choices import Labels, MotionModel
-from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import LearnedMotion
 from splat.training.trainer import TrainingSettings
 from tests import posed
 from tests.hybrid.preparation.conftest import ignore

@@ -14,8 +14,7 @@ from splat.io.forest_file import load_forest, save_forest
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Directional, Gaussians
-from splat.model.layer import Layer, static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import Layer, build_forest, static_layer
 from tests.extremes import extreme
 from tests.splat.samples import KINDS, equal, gaussians
 

@@ -18,8 +18,7 @@ from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Blending
 from splat.model.hierarchy import Hierarchy, hierarchy_of
-from splat.model.layer import static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from tests.splat.samples import equal, gaussians
 
 

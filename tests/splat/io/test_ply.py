@@ -16,7 +16,7 @@ from splat.io.ply import UNBOUND_FOCAL, load_ply, save_ply
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
 from splat.model.gaussians import SH_DC, Blending, Gaussians
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from splat.raster.differentiable import render_differentiable
 from tests.conftest import real_file
 from tests.splat.samples import camera, equal, gaussians

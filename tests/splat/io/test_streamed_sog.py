@@ -13,12 +13,11 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
-from splat.io import streamed_sog
-from splat.io.other_formats import load_gaussians
-from splat.io.streamed_sog import save_streamed
+from splat.io import other_formats
+from splat.io.other_formats import load_gaussians, save_streamed
 from splat.model.gaussians import Gaussians
 from splat.model.hierarchy import hierarchy_of
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from tests.splat.samples import gaussians
 
 pytest.importorskip("gaussforge", reason="writes SOG; pip install '.[formats]'")
@@ -35,7 +34,7 @@ def folder(levels, tmp_path_factory) -> Path:
     """Leaves of at most 200 Gaussians of the finest level."""
     place = tmp_path_factory.mktemp("streamed") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streamed_sog, "_MOST_IN_LEAF", 200)
+        patch.setattr(other_formats, "_MOST_IN_LEAF", 200)
         save_streamed(place, levels)
     return place
 
@@ -106,7 +105,7 @@ def test_progress_counts_the_gaussians(levels, tmp_path):
 
 
 def test_gaussians_in_one_place_are_one_leaf(tmp_path, monkeypatch):
-    monkeypatch.setattr(streamed_sog, "_MOST_IN_LEAF", 8)
+    monkeypatch.setattr(other_formats, "_MOST_IN_LEAF", 8)
     alike = gaussians("overlap", 20, 0)
     alike.means[:] = torch.tensor([[1.0], [2.0], [3.0]])
     assert save_streamed(tmp_path / "out", [alike]) == 1

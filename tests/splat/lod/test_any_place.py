@@ -13,9 +13,8 @@ from compose.camera.coordinate_systems import WORLD, Place
 from splat.io.forest_file import load_forest, save_forest
 from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
-from splat.model.layer import static_layer
 from splat.model.points import in_world
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from splat.raster.differentiable import render
 from tests.extremes import extreme
 from tests.splat.samples import camera, gaussians

@@ -7,7 +7,7 @@ import numpy as np
 from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer
 from splat.lod.layer_images import LayerImage
 from splat.model.forest import forest_of
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from tests.splat.lod.views import CELLS, drawn, everything, frame_camera, no_cutoff, ramp, small_forest
 from tests.splat.samples import gaussians
 

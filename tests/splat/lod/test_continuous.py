@@ -10,7 +10,7 @@ from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import CONTINUOUS, LayerImage
 from splat.model.forest import Forest
 from splat.model.hierarchy import HierarchyNodes
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from splat.raster.cut import HierarchyCut, Turned, turned_footprints
 from splat.raster.projection import Footprints
 from tests.extremes import extreme

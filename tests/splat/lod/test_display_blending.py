@@ -15,7 +15,7 @@ from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer
 from splat.lod.layer_images import LayerImage
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import SH_DC, Blending, perceptual_from_radiance
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from splat.raster.differentiable import render_differentiable
 from tests.splat.lod.views import CORNERS, drawn, everything, frame_camera, no_cutoff, small_forest
 from tests.splat.raster.plain_3dgs import picture

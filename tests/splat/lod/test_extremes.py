@@ -10,8 +10,7 @@ from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import LayerImage
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Gaussians
-from splat.model.layer import static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from splat.raster import parts
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER

@@ -11,7 +11,7 @@ import torch
 
 from splat.lod.footprints import ForestFootprints
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from splat.raster.projection import PIXEL_FILTER, camera_numbers, footprints
 from tests.splat.lod.views import frame_camera, small_forest
 from tests.splat.raster.splats import parameters_from

@@ -15,7 +15,7 @@ from splat.lod import forest_renderer
 from splat.lod.forest_renderer import ForestRenderer, finest_frequency
 from splat.lod.layer_images import LayerImage, Under
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
+from splat.model.trees import static_layer
 from splat.raster.projection import PIXEL_FILTER
 from splat.raster.tiles import TILE
 from tests.splat.lod.views import (

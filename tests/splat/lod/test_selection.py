@@ -8,8 +8,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.lod.layer_images import AtlasEntry, LayerImage
-from splat.lod.node_selection import EntryTable, touching
+from splat.lod.layer_images import AtlasEntry, EntryTable, LayerImage, touching
 from splat.raster.projection import PIXEL_FILTER
 
 ROWS, COLUMNS = 7, 10

@@ -10,8 +10,7 @@ from compose.camera.camera import Camera, camera_from_pose
 from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import SplatImage
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from tests.splat.raster import reference
 from tests.splat.samples import gaussians
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.layer import Layer, check_forest, static_layer
-from splat.model.trees import build_forest, layer_of_size
+from splat.model.trees import Layer, build_forest, check_forest, layer_of_size, static_layer
 from tests.splat.samples import equal, spheres
 
 

@@ -10,7 +10,7 @@ import torch
 
 from splat.model.choices import FieldKind
 from splat.model.gaussians import Gaussians
-from splat.model.learned_motion import DeformationNetwork, HexPlane, LearnedMotion
+from splat.model.motion import DeformationNetwork, HexPlane, LearnedMotion
 from tests.splat.samples import gaussians
 
 LOW, HIGH = torch.tensor([-1.0, -2.0, -0.5]), torch.tensor([1.0, 2.0, 3.0])

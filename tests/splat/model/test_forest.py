@@ -10,8 +10,7 @@ import torch
 
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Blending
-from splat.model.layer import Layer, check_forest, static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import Layer, build_forest, check_forest, static_layer
 from tests.splat.samples import equal, gaussians
 
 

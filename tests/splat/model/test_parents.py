@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.layer import Layer, static_layer
 from splat.model.points import rows_of, z_curve_order
-from splat.model.trees import label_codes, with_parents
+from splat.model.trees import Layer, label_codes, static_layer, with_parents
 from tests.splat.samples import spheres
 
 

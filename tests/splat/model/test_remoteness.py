@@ -5,9 +5,8 @@ from __future__ import annotations
 import torch
 
 from splat.model.gaussians import Gaussians
-from splat.model.layer import static_layer
 from splat.model.points import remoteness
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 
 
 def test_only_what_is_far_away_is_remote():

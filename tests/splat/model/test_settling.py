@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from splat.model.layer import Layer, check_forest, static_layer
-from splat.model.trees import build_forest, settle
+from splat.model.trees import Layer, build_forest, check_forest, settle, static_layer
 from tests.splat.model.test_building import scattered
 from tests.splat.samples import spheres
 

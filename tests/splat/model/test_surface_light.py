@@ -11,7 +11,7 @@ import torch
 from compose.camera.coordinate_systems import Place
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.gaussians import Gaussians
-from splat.model.layer import Layer, static_layer
+from splat.model.trees import Layer, static_layer
 
 TIMES = 5
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from compose.camera.camera import camera_from_pose
-from splat.training.observation import Observation
+from splat.training.moving_pixels import Observation
 
 SIZE = 48
 # Half the sides of the card, and its distance in front of the wall.

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from splat.model.gaussians import SH_DC
-from splat.model.layer import Layer
+from splat.model.trees import Layer
 from splat.training import clusters
 from splat.training.clusters import HitTree
 from splat.training.initialization import hits_of

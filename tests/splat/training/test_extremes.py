@@ -10,7 +10,7 @@ import torch
 
 from compose.camera.camera import Camera, camera_from_pose
 from splat.model.gaussians import Gaussians, perceptual_from_radiance
-from splat.model.layer import check_forest
+from splat.model.trees import check_forest
 from splat.raster.differentiable import render_differentiable
 from splat.training.gaussian_optimizer import GaussianOptimizer
 from splat.training.loss import FrameTarget

@@ -11,7 +11,7 @@ import torch
 from compose.camera.camera import Camera
 from splat.model.choices import FieldKind, MotionModel
 from splat.model.forest import forest_of
-from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import LearnedMotion
 from splat.raster.differentiable import render_differentiable
 from splat.training.field_training import FieldOptimizer
 from splat.training.trainer import Trainer, TrainingSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.layer import concatenated_layers
+from splat.model.trees import concatenated_layers
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.initialization import seed_from_views

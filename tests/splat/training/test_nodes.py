@@ -9,8 +9,8 @@ import torch
 
 from compose.camera.camera import camera_from_pose
 from splat.model.gaussians import Gaussians
-from splat.model.layer import BACKGROUND, concatenated_layers, static_layer
 from splat.model.motion import NodeMotion
+from splat.model.trees import BACKGROUND, concatenated_layers, static_layer
 from splat.training.moving_nodes import evidence_of, separated
 from splat.training.training_view import TrainingView
 

@@ -10,7 +10,7 @@ import torch
 
 from splat.model.choices import FieldKind
 from splat.model.gaussians import Gaussians
-from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import LearnedMotion
 from splat.training.field_training import register
 from splat.training.training_view import TrainingView
 from tests.splat.training.test_moving import CENTRE, TIMES, TURN, VIEWS, WAY

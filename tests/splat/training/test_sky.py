@@ -10,12 +10,19 @@ import torch
 
 from compose.camera.coordinate_systems import Place
 from splat.model.gaussians import SH_DC, perceptual_from_radiance
-from splat.model.layer import check_forest
+from splat.model.trees import check_forest
 from splat.raster.differentiable import render_differentiable
-from splat.training.initialization import seed_from_views
-from splat.training.sky import SKY_DISTANCE, shows_sky, whole_sky
+from splat.training.initialization import seed_from_views, whole_sky
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.training_view import TrainingView, pixel_footprint, place_of, placed, reduced
+from splat.training.training_view import (
+    SKY_DISTANCE,
+    TrainingView,
+    pixel_footprint,
+    place_of,
+    placed,
+    reduced,
+    shows_sky,
+)
 from tests.extremes import extreme
 from tests.splat.training.frames import SIZE, WALLS, in_the_open
 

@@ -11,7 +11,7 @@ import torch
 
 from splat.model.forest import forest_of
 from splat.model.gaussians import perceptual_from_radiance
-from splat.model.layer import check_forest
+from splat.model.trees import check_forest
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.trainer import Trainer, TrainingSettings, most_layers, training_schedule

@@ -20,8 +20,7 @@ from hybrid.window.remote.client import Remote
 from hybrid.window.remote.server import Limits, Listening, ViewServer
 from hybrid.window.remote.view_cuts import ViewCuts
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
-from splat.model.trees import build_forest
+from splat.model.trees import build_forest, static_layer
 from tests.splat.lod.views import frame_camera
 from tests.splat.samples import gaussians
 

@@ -10,8 +10,7 @@ import pytest
 
 from compose.camera.camera import camera_from_pose
 from splat.model.forest import Forest
-from splat.raster.complete_cut import CompleteCuts
-from splat.raster.cut import HierarchyCut
+from splat.raster.cut import CompleteCuts, HierarchyCut
 from tests.splat.lod.views import flat, frame_camera, overlapping_forest, ramp
 
 
