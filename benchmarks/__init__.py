@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,12 @@ def report(found: Mapping[str, Any], file: Path | None) -> None:
     print(text)
     if file:
         file.write_text(text)
+
+
+def csv_rows(file: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file, by the names of its columns."""
+    with file.open(newline="") as opened:
+        return list(csv.DictReader(opened))
 
 
 def measure_forest(description: str | None, measured: Callable[[str, Path], dict[str, Any]]) -> None:

@@ -9,7 +9,6 @@ contrast sensitivities of 18 studies (Ashraf et al. 2024).
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from benchmarks import parser_of, report
+from benchmarks import csv_rows, parser_of, report
 from compose.eye.acuity import ACUITY_MODELS, limit_sensitivity
 
 Array = NDArray[np.float64]
@@ -77,7 +76,7 @@ class Sensitivities:
 
 def load_cutoffs(folder: Path) -> Cutoffs:
     """The achromatic cut-offs, N = 50."""
-    rows = _rows(folder / "resolution_limit" / "resolution_limit_data.csv")
+    rows = csv_rows(folder / "resolution_limit" / "resolution_limit_data.csv")
     rows = [row for row in rows if row["color_direction"] == "1"]
     observers = np.array([int(row["observer"].removeprefix("Obs")) for row in rows])
     return Cutoffs(_column(rows, "eccentricity_deg"), _column(rows, "threshold_ppd") / 2, observers)
@@ -87,7 +86,7 @@ def load_sensitivities(folder: Path) -> Sensitivities:
     """The achromatic sensitivities to static gratings of a display's luminances."""
     rows = [
         row
-        for row in _rows(folder / "castlecsf" / "contrast_sensitivity.csv")
+        for row in csv_rows(folder / "castlecsf" / "contrast_sensitivity.csv")
         if row["achromatic"] == "1"
         and float(row["s_frequency_cpd"]) > 0
         and float(row["t_frequency_hz"]) <= _FASTEST
@@ -105,11 +104,6 @@ def load_sensitivities(folder: Path) -> Sensitivities:
         study,
         names,
     )
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def _column(rows: list[dict[str, str]], name: str) -> Array:

@@ -65,6 +65,14 @@ class SceneWriter:
             f'<boolean name="face_normals" value="true"/>{bsdf}</shape>'
         )
 
+    def lamp(self, place: Sequence[float], radius: float, radiance: Sequence[float] | Points) -> None:
+        """A sphere that emits light."""
+        self.add(
+            f'<shape type="sphere"><point name="center" value="{_row(place)}"/>'
+            f'<float name="radius" value="{radius}"/>'
+            f'<emitter type="area"><rgb name="radiance" value="{_row(radiance)}"/></emitter></shape>'
+        )
+
     def add(self, line: str) -> None:
         """Any other element."""
         self._lines.append(line)
@@ -171,12 +179,7 @@ def write_gantry(folder: Path) -> None:
     for number in range(390):
         row = ((0.5, 4.3), (2.5, 4.6), (4.5, 4.9))[number % 3]
         place = (rng.uniform(-5.4, 5.4), row[0] + rng.uniform(-0.2, 0.2), row[1] + rng.uniform(-0.05, 0.05))
-        radiance = _row(hues[rng.integers(len(hues))] * rng.uniform(8, 30))
-        scene.add(
-            f'<shape type="sphere"><point name="center" value="{_row(place)}"/>'
-            '<float name="radius" value="0.03"/>'
-            f'<emitter type="area"><rgb name="radiance" value="{radiance}"/></emitter></shape>'
-        )
+        scene.lamp(place, 0.03, hues[rng.integers(len(hues))] * rng.uniform(8, 30))
     scene.close()
 
 
@@ -254,11 +257,7 @@ def write_workshop(folder: Path) -> None:
         '<emitter type="constant"><rgb name="radiance" value=".8 1 1.4"/></emitter>'
     )
     for x in (2.0, 4.0):
-        scene.add(
-            f'<shape type="sphere"><point name="center" value="{x} 2.4 2.5"/>'
-            '<float name="radius" value=".08"/>'
-            '<emitter type="area"><rgb name="radiance" value="60 50 38"/></emitter></shape>'
-        )
+        scene.lamp((x, 2.4, 2.5), 0.08, (60, 50, 38))
     scene.close()
 
 

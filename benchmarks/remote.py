@@ -100,7 +100,8 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
         remote.changed.wait(1)
     asked: list[tuple[float, View]] = []
     times, ages, cuts, late = {0: 0.0}, [], {}, []
-    count, begin, before = round(seconds * _RATE), time.monotonic(), (remote.bytes, _number(remote))
+    assert remote.cut is not None
+    count, begin, before = round(seconds * _RATE), time.monotonic(), (remote.bytes, remote.cut.number)
     for frame in range(count):
         due = begin + frame / _RATE
         time.sleep(max(0.0, due - time.monotonic()))
@@ -119,7 +120,7 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
         cuts[cut.number] = cut
         late.append((view, cut))
     took = time.monotonic() - begin
-    received, number = remote.bytes - before[0], _number(remote) - before[1]
+    received, number = remote.bytes - before[0], remote.cut.number - before[1]
     remote.close()
     masks = [remote.tree.drawn(cut.split) for cut in cuts.values()]
     compared = [late[k] for k in np.linspace(count // 10, count - 1, _COMPARED).astype(int)]
@@ -135,10 +136,6 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
         "drawn": int(np.median([np.count_nonzero(drawn) for drawn in masks])),
         **_pictures(remote, compared),
     }
-
-
-def _number(remote: Remote) -> int:
-    return remote.cut.number if remote.cut else 0
 
 
 def _holes(nodes: HierarchyNodes, drawn: Bits) -> int:
@@ -182,8 +179,8 @@ def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any
     }
 
 
-def _connected(address: str, token: str | None) -> connect:
-    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+def _connected(address: str, token: str) -> connect:
+    headers = {"Authorization": f"Bearer {token}"}
     protocols = [Subprotocol(SUBPROTOCOL)]
     return connect(address, additional_headers=headers, subprotocols=protocols, compression=None, proxy=None)
 

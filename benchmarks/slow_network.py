@@ -34,7 +34,7 @@ def inside(space: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def slow_network(seed: int = 0) -> Iterator[None]:
+def slow_network() -> Iterator[None]:
     """Both namespaces and the network, until the end; SystemExit without root."""
     if os.geteuid():
         raise SystemExit("requires root, for network namespaces")
@@ -45,9 +45,7 @@ def slow_network(seed: int = 0) -> Iterator[None]:
             devices.append(_device(space))
             for words in (f"address add {address}/24 dev hybrid0", "link set hybrid0 up", "link set lo up"):
                 subprocess.run([*inside(space), "ip", *words.split()], check=True)
-        carrier = multiprocessing.get_context("fork").Process(
-            target=_carry, args=(*devices, seed), daemon=True
-        )
+        carrier = multiprocessing.get_context("fork").Process(target=_carry, args=devices, daemon=True)
         carrier.start()
         yield
         carrier.terminate()
@@ -92,8 +90,8 @@ class _Way:
                 os.write(self.target, self.waiting.popleft()[1])
 
 
-def _carry(first: int, second: int, seed: int) -> None:
-    rng, ways = random.Random(seed), {first: _Way(second), second: _Way(first)}
+def _carry(first: int, second: int) -> None:
+    rng, ways = random.Random(0), {first: _Way(second), second: _Way(first)}
     while True:
         due = min((way.waiting[0][0] for way in ways.values() if way.waiting), default=time.monotonic() + 1)
         ready, _, _ = select.select(list(ways), [], [], max(0.0, due - time.monotonic()))

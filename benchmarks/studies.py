@@ -8,7 +8,6 @@ Chromium, which must be installed, with its driver and selenium.
 
 from __future__ import annotations
 
-import csv
 import os
 import queue
 import shutil
@@ -23,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import parser_of, report
+from benchmarks import csv_rows, parser_of, report
 from hybrid.render.image_files import write_srgb
 from hybrid.study.browser import serve_study
 from hybrid.study.comparisons import compare, holm, mean_votes
@@ -125,8 +124,7 @@ def _timing(canvas: Callable[[StudySession], None], frames: int) -> dict[str, An
         session = StudySession(Path(folder), _study(Path(folder), frames), 1)
         canvas(session)
         session.close()
-        with session.file.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+        rows = csv_rows(session.file)
     errors = np.array(
         [
             abs(float(shown) - float(asked)) / float(row["interval_ms"])
@@ -213,7 +211,7 @@ def agreement_with_alsarr(vision: Path) -> dict[str, float]:
     kept = Choices(*(part[told] for part in parts))
     scales = {found.group: found for found in scale(kept, reference="full")}
     ours, theirs = [], []
-    for row in _rows(vision / "alsarr/jnd.csv"):
+    for row in csv_rows(vision / "alsarr/jnd.csv"):
         found = scales[f"{row['block']} / {row['velocity_deg_s']}"]
         name = f"{row['texture']} / {float(row['shading_rate']):g}"
         ours.append(0.0 if name.endswith(" / 1") else float(found.jod[found.conditions.index(name)]))
@@ -227,7 +225,7 @@ def agreement_with_hdr_vdc(vision: Path) -> dict[str, float]:
     columns = {"scene": "scene+luminance"} | {
         name: "+".join(f"{kind}_{n}" for kind in kinds) for n, name in enumerate(("first", "second"), 1)
     }
-    rows = _rows(vision / "hdr_vdc/jod.csv")
+    rows = csv_rows(vision / "hdr_vdc/jod.csv")
     ours, theirs = [], []
     for found in scale(load_choices(vision / "hdr_vdc/pairwise.csv", columns)):
         here = [row for row in rows if f"{row['scene']} / {row['luminance']}" == found.group]
@@ -238,11 +236,6 @@ def agreement_with_hdr_vdc(vision: Path) -> dict[str, float]:
         ours += [10 + jods[name] - float(np.mean(whole)) for name in names]
         theirs += [float(row["jod"]) for row in here]
     return _agreement(ours, theirs)
-
-
-def _rows(file: Path) -> list[dict[str, str]]:
-    with file.open(newline="") as opened:
-        return list(csv.DictReader(opened))
 
 
 def _agreement(ours: list[float], theirs: list[float]) -> dict[str, float]:

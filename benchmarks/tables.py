@@ -373,15 +373,13 @@ def headlines() -> str:
 
 
 def _speed() -> tuple[str, str]:
-    rows = result("resolution")["rows"]
-    ratios = ", ".join(f"{row['ratio']:.1f}x at {row['width']}x{row['height']}" for row in rows)
+    ratios = ", ".join(_rows("{ratio:.1f}x at {width}x{height}", result("resolution")["rows"]))
     return "`room`, 1 spp, radius 20 %: hybrid against full path tracing, gaze and camera moving", ratios
 
 
 def _break_even() -> tuple[str, str]:
     found = [
-        f"{'over 90' if row['radius'] is None else format(row['radius'], '.0f')} % at "
-        f"{row['width']}x{row['height']}"
+        f"{_known(row['radius'], '.0f') or 'over 90'} % at {row['width']}x{row['height']}"
         for row in result("radius")["break_even"]
     ]
     return "radius up to which a hybrid frame is as fast as full path tracing", ", ".join(found)
@@ -419,19 +417,16 @@ def _fused() -> tuple[str, str]:
 
 def _window() -> tuple[str, str]:
     medians = result("window")["medians"]
-    texts = [
-        f"{found['fps']:.0f} frames per second, {found['latency_ms']:.0f} ms from mouse to screen"
-        for found in (medians["qt"], medians["browser"])
-    ]
-    text = f"{texts[0]}; in a browser {texts[1]}"
-    return "the window, `room`, 640x480, radius 15 %, 1 spp, mouse moving", text
+    form = "{fps:.0f} frames per second, {latency_ms:.0f} ms from mouse to screen"
+    qt, browser = _rows(form, (medians["qt"], medians["browser"]))
+    return "the window, `room`, 640x480, radius 15 %, 1 spp, mouse moving", f"{qt}; in a browser {browser}"
 
 
 def _prepared() -> tuple[str, str]:
     texts = []
     for name in ("prepare-room", "prepare-staircase2"):
         found = result(name)
-        stages = ", ".join(f"{row['psnr']:.1f} dB in {row['seconds']:.0f} s" for row in found["curve"])
+        stages = ", ".join(_rows("{psnr:.1f} dB in {seconds:.0f} s", found["curve"]))
         texts.append(f"{found['scene']}: {stages}")
     return "from nothing to a forest, held-out views of 256x256", "; ".join(texts)
 
@@ -448,11 +443,9 @@ def _integrator() -> tuple[str, str]:
     texts = []
     for name in ("integrator-room", "integrator-staircase2"):
         found = result(name)
-        gains = " / ".join(
-            f"{row['efficiency']:.1f}x" for row in found["rows"] if row["integrator"] == "cached"
-        )
-        bias = next(row["mean"] for row in found["bias"] if row["integrator"] == "cached")
-        texts.append(f"{found['scene']} {gains} at a bias of {bias:+.1%}")
+        rows, (bias,) = ([r for r in found[of] if r["integrator"] == "cached"] for of in ("rows", "bias"))
+        gains = " / ".join(_rows("{efficiency:.1f}x", rows))
+        texts.append(f"{found['scene']} {gains} at a bias of {bias['mean']:+.1%}")
     return "efficiency of the cached integrator against `path`, raw frames, 1 / 4 spp", "; ".join(texts)
 
 
@@ -462,9 +455,9 @@ def _registration() -> tuple[str, str]:
 
 
 def _rasterizer() -> tuple[str, str]:
-    found = result("raster")
-    text = f"{found['forward_ms']['p50']:.0f} ms forward, {found['backward_ms']['p50']:.0f} ms backward"
-    return f"rasterizing {found['gaussians']:,} Gaussians at {found['width']}x{found['height']}", text
+    what = "rasterizing {gaussians:,} Gaussians at {width}x{height}"
+    times = "{forward_ms[p50]:.0f} ms forward, {backward_ms[p50]:.0f} ms backward"
+    return what.format_map(found := result("raster")), times.format_map(found)
 
 
 def _card() -> tuple[str, str]:

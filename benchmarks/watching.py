@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import re
 import shutil
 import statistics
 import subprocess
@@ -56,16 +55,17 @@ _CHANGES = {
 }
 
 
-def _watch(source: SceneSource, seconds: float, times: list[float] | None = None) -> None:
-    """Shows frames while the gaze moves, as the window does."""
-    camera, end, number = source.camera.resized(*_SIZE), time.perf_counter() + seconds, 0
+def _watch(source: SceneSource, seconds: float) -> list[float]:
+    """Shows frames while the gaze moves, as the window does; milliseconds of each."""
+    times: list[float] = []
+    camera, end = source.camera.resized(*_SIZE), time.perf_counter() + seconds
     while (start := time.perf_counter()) < end:
-        number += 1
+        number = len(times) + 1
         source.renew(no_progress)
         gaze = Gaze(0.5 + 0.3 * math.sin(0.1 * number), 0.5 + 0.3 * math.sin(0.2 * number))
         source.show(Request(replace(INTERACTIVE, camera=camera, gaze=gaze)), quick=True)
-        if times is not None:
-            times.append(1000 * (time.perf_counter() - start))
+        times.append(1000 * (time.perf_counter() - start))
+    return times
 
 
 def _source(scene: str, learns: bool) -> SceneSource:
@@ -97,12 +97,10 @@ def _rates(scene: str) -> dict[str, float]:
     found = {}
     for name, learns in (("alone", False), ("learning", True)):
         source = _source(scene, learns)
-        times: list[float] = []
         _watch(source, 3.0)
-        _watch(source, _RATED, times)
+        found[name] = statistics.median(_watch(source, _RATED))
         source.close()
         time.sleep(_REST)
-        found[name] = statistics.median(times)
     return found
 
 
@@ -123,7 +121,7 @@ def _changes(folder: Path) -> dict[str, dict[str, float]]:
     _watch(source, _LEARNT)
     for number, (name, (old, new, seconds)) in enumerate(_CHANGES.items()):
         before = judge(source)
-        text = re.sub(re.escape(old), new, text)
+        text = text.replace(old, new)
         changed = file.with_name(f"changed-{number}.xml")
         changed.write_text(text)
         judge = _judges(hybrid.load_scene(changed), folder / f"judges-{number}")

@@ -143,13 +143,18 @@ class EarlierViews:
 
     def _grow(self, samples: int, wanted: int) -> None:
         """Moves all samples to the start of a ring that has room for as many as wanted."""
-        index = dr.arange(self.arrays.plain.UInt, samples)
-        slot, packet = self._slot(index), self.arrays.packet
-        places, records = packet(self._places, _PLACE, slot), packet(self._records, RECORD, slot)
+        moved: list[Sequence[Float]] = []
+        # Dr.Jit refuses to index with arrays of width 0.
+        if samples:
+            index = dr.arange(self.arrays.plain.UInt, samples)
+            slot = self._slot(index)
+            moved = [
+                self.arrays.packet(*of, slot) for of in ((self._places, _PLACE), (self._records, RECORD))
+            ]
         self._first, self._room = 0, 1 << (wanted - 1).bit_length()
         self._places, self._records = self._empty()
-        if samples:
-            self._scatter(places, records, index)
+        if moved:
+            self._scatter(moved[0], moved[1], index)
 
     def _scatter(self, places: Sequence[Float], records: Sequence[Float], slot: UInt) -> None:
         self.arrays.put_packet(self._places, places, slot)

@@ -66,14 +66,11 @@ def integrator(
     print("integrator  spp  squared error       ms  efficiency")
     for row in found["rows"]:
         print(
-            f"{row['integrator']:<10}{row['spp']:>5}{row['squared_error']:>15.4g}"
-            f"{row['ms']['p50']:>9.1f}{row['efficiency']:>12.2f}"
+            "{integrator:<10}{spp:>5}{squared_error:>15.4g}{ms[p50]:>9.1f}{efficiency:>12.2f}".format(**row)
         )
     print(f"bias against {reference_spp} spp     mean  worst block  95 % of blocks below")
     for row in found["bias"]:
-        print(
-            f"{row['integrator']:<22}{row['mean']:>+9.2%}{row['worst_block']:>13.1%}{row['p95_block']:>22.1%}"
-        )
+        print("{integrator:<22}{mean:>+9.2%}{worst_block:>13.1%}{p95_block:>22.1%}".format(**row))
     return {**found, "scene": loaded.name, "machine": machine()}
 
 
@@ -102,14 +99,13 @@ def periphery(
         rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
     print("                            camera still       |    moving           |")
     print("gaze     acuity model          ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
+    form = (
+        "{gaze[0]:.1f} {gaze[1]:.1f}  {acuity_model:<19} {periphery_ms[p50]:>5.1f} {full_ms[p50]:>7.1f} "
+        "{ratio:>5.2f} {moving_ms[p50]:>6.1f} {moving_full_ms[p50]:>7.1f} {moving_ratio:>5.2f} "
+        "{nodes_drawn:>7,} {quality:>7} {ssim:.4f}"
+    )
     for row in rows:
-        quality = "    -" if row["jod"] is None else f"{row['jod']:5.2f}"
-        print(
-            f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['acuity_model']:<19} "
-            f"{row['periphery_ms']['p50']:>5.1f} {row['full_ms']['p50']:>7.1f} {row['ratio']:>5.2f} "
-            f"{row['moving_ms']['p50']:>6.1f} {row['moving_full_ms']['p50']:>7.1f} "
-            f"{row['moving_ratio']:>5.2f} {row['nodes_drawn']:>7,} {quality:>7} {row['ssim']:.4f}"
-        )
+        print(form.format(**row, quality="-" if row["jod"] is None else f"{row['jod']:.2f}"))
     if rows[0]["jod"] is None:
         print(INSTALL)
     return [{**row, "scene": loaded.name, "machine": machine()} for row in rows]
@@ -151,19 +147,17 @@ def frame(
         rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
     if backend == "auto" and device_arrays().backend == "cuda" and not isinstance(LLVM, UserError):
         rows += on_llvm(sys.argv[1:])
-    print(
-        "backend   size       fovea     renderer  wall ms    p95  kernels ms  launches    host bytes  "
-        "longest passes, ms"
+    head = "backend   size       fovea     renderer  wall ms    p95  kernels ms  launches    host bytes  "
+    print(head + "longest passes, ms")
+    form = (
+        "{backend:<8} {width:>5}x{height:<5} {mode:<9} {renderer:<8} {wall_ms[p50]:>8.1f} "
+        "{wall_ms[p95]:>6.1f} {kernels_ms:>11.1f} {launches:>9} {host_bytes:>13,}  {longest}"
     )
     for row in rows:
         medians = {name: times["p50"] for name, times in row["passes"].items() if name != "total"}
-        longest = sorted(medians, key=lambda name: medians[name], reverse=True)[:3]
-        renderer, wall = "live" if row["live"] else "still", row["wall_ms"]
-        print(
-            f"{row['backend']:<8} {row['width']:>5}x{row['height']:<5} {row['mode']:<9} {renderer:<8} "
-            f"{wall['p50']:>8.1f} {wall['p95']:>6.1f} {row['kernels_ms']:>11.1f} {row['launches']:>9} "
-            f"{row['host_bytes']:>13,}  " + ", ".join(f"{name} {medians[name]:.1f}" for name in longest)
-        )
+        first = sorted(medians, key=lambda name: medians[name], reverse=True)[:3]
+        longest = ", ".join(f"{name} {medians[name]:.1f}" for name in first)
+        print(form.format(**row, renderer="live" if row["live"] else "still", longest=longest))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""The command line: one thin module per command."""
+"""The command line: its commands, and how mistakes end."""
 
 from __future__ import annotations
 

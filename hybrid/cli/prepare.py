@@ -71,7 +71,7 @@ def _shown(evidence: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     if isinstance(value, list):
         return " ".join(map(str, value))
     return f"{value:.3g}" if isinstance(value, float) else str(value)

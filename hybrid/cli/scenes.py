@@ -69,12 +69,9 @@ def _compare(scene: Scene, source: str, sensor: str | None) -> dict[str, Any] | 
 
 def _print_facts(row: dict[str, Any]) -> None:
     nodes = " + ".join(f"{count:,}" for count in row["nodes_per_layer"])
-    forest = f"forest {row['forest']}: {row['trees']:,} trees, layers of {nodes} nodes"
-    print(
-        f"{row['scene']}: {row['triangles']:,} triangles, {row['emitters']} emitters, "
-        f"depth {row['max_depth']}, {row['width']} x {row['height']}, "
-        + (forest if row["forest"] else "no forest yet")
-    )
+    form = "{scene}: {triangles:,} triangles, {emitters} emitters, depth {max_depth}, {width} x {height}, "
+    form += "forest {forest}: {trees:,} trees, layers of {nodes} nodes" if row["forest"] else "no forest yet"
+    print(form.format(**row, nodes=nodes))
 
 
 def _facts(scene: Scene, file: str) -> dict[str, Any]:

@@ -102,6 +102,7 @@ def _overview(results: Results) -> dict[str, Any]:
             f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
         ),
         "verdicts": verdicts(found),
+        "settings": settings,
         # Evaluations of earlier versions have none.
         "plan": found.get("plan", {}),
         "reference_note": (
@@ -110,21 +111,20 @@ def _overview(results: Results) -> dict[str, Any]:
             "fovea, denoising bias included."
         ),
         "tolerance": f"{100 * TOLERANCE:g}",
-        "size": f"{settings['width']} × {settings['height']}",
         "machine": f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}",
         "missing": missing(),
     }
 
 
 def quality_table(results: Results, region: str) -> dict[str, Any]:
-    """Means over the views of one region: `region`, `metrics`, and `rows` of the methods and references."""
+    """Means over the views of one region: `region`, `columns`, and `rows` of the methods and references."""
     metrics = [m for m in METRICS if results.mean(OURS_KEY, region, m) is not None]
     rows = []
     for key in [*results.keys, HALVES_KEY]:
         values = [results.mean(key, region, metric) for metric in metrics]
         cells = ["-" if v is None else format(v, FORMS[m]) for v, m in zip(values, metrics, strict=True)]
         rows.append(_row(results, key, cells))
-    return {"region": region, "metrics": metrics, "rows": rows}
+    return {"region": region, "columns": metrics, "rows": rows}
 
 
 def time_table(results: Results) -> dict[str, Any]:
@@ -150,20 +150,13 @@ def _row(results: Results, key: Key, cells: list[str]) -> dict[str, Any]:
 
 
 def _viewer(results: Results, folder: Path) -> dict[str, Any]:
-    """The images, and the circles drawn over them in percent of the height."""
-    settings, labels = results.found["settings"], {key: results.label(key) for key in results.keys}
-    width, height = settings["width"], settings["height"]
+    labels = {key: results.label(key) for key in results.keys}
     return {
         "views": results.views,
         "images": [embedded_images(folder, view, labels) for view in results.views],
         "flips": [embedded_flips(folder, view, labels) for view in results.views],
         "left": OURS_KEY.label,
         "right": "reference",
-        "aspect": 100 * width / height,
-        "gaze_x": 100 * settings["gaze_x"] * width / height,
-        "gaze_y": 100 * settings["gaze_y"],
-        "fov_a": settings["fov_a"],
-        "fov_b": settings["fov_b"],
     }
 
 

@@ -94,8 +94,7 @@ def _boxes(gaussians: Gaussians, camera: Camera) -> NDArray[np.float64]:
 
 def _touches(boxes: NDArray[np.float64], cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(N,) which boxes touch any of the cells."""
-    sums = np.zeros((cells.shape[0] + 1, cells.shape[1] + 1), dtype=np.int64)
-    sums[1:, 1:] = cells.cumsum(axis=0).cumsum(axis=1)
+    sums = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     size = [cells.shape[1], cells.shape[0]]
     left, top = np.clip(np.floor(boxes[:, :2] / TILE), 0, size).astype(np.int64).T
     right, bottom = np.clip(np.floor(boxes[:, 2:] / TILE) + 1, 0, size).astype(np.int64).T

@@ -107,38 +107,6 @@ Array = NDArray[np.float64]
 _FPC_F, _FPC_SIGMA = 0.1, 2.6
 
 
-def traced_image(
-    tracer: Tracer,
-    camera: Camera,
-    positions: FilmPositions,
-    columns: int,
-    spp: float,
-    seed: int,
-    denoised: bool,
-    clock: PassClock,
-) -> Image:
-    """(N / columns, columns, 3) radiance at N positions on the camera's film, given row by row.
-
-    There are `spp` samples per position, at least 1; if fractional, the mean over all positions. If denoised,
-    OIDN is guided by albedo and normal. The clock records the passes trace and denoise.
-    """
-    counts = fractional_counts(spp, positions.count, seed)
-    if denoised and isinstance(counts, int):
-        traced = trace_image(tracer, camera, positions, columns, counts, seed)
-    else:
-        radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
-        if not denoised:
-            clock.lap("trace")
-            return radiance
-        auxiliary_count = auxiliary_spp(math.ceil(spp))
-        auxiliary = auxiliary_images(tracer, camera, positions, columns, auxiliary_count, seed)
-        traced = TracedImage(radiance, *auxiliary)
-    clock.lap("trace")
-    image = traced.denoised()
-    clock.lap("denoise")
-    return image
-
-
 @dataclass(frozen=True)
 class Axis:
     """The mapping along one axis, from `size` pixels of the frame to `buffer` pixels of the buffer.
@@ -207,9 +175,11 @@ def _between(axis: Axis) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[
 
 @dataclass(frozen=True)
 class _PathTraced:
-    """What all path-traced baselines share: the scene shows a view's time before its frame is timed."""
+    """A path-traced baseline: `spp` samples per traced pixel, at least 1; if fractional, the mean."""
 
     tracer: Tracer
+    spp: float
+    denoised: bool
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         self.tracer.scene.show(view.time)
@@ -217,16 +187,36 @@ class _PathTraced:
         image = self._image(view.camera, gaze, seed, clock)
         return TimedImage(image, clock.milliseconds())
 
+    def traced(
+        self, camera: Camera, positions: FilmPositions, columns: int, seed: int, clock: PassClock
+    ) -> Image:
+        """(N / columns, columns, 3) radiance at N positions on the camera's film, given row by row.
+
+        If denoised, OIDN is guided by albedo and normal. The clock records the passes trace and denoise.
+        """
+        counts = fractional_counts(self.spp, positions.count, seed)
+        if self.denoised and isinstance(counts, int):
+            traced = trace_image(self.tracer, camera, positions, columns, counts, seed)
+        else:
+            radiance = radiance_image(self.tracer, camera, positions, columns, counts, seed)
+            if not self.denoised:
+                clock.lap("trace")
+                return radiance
+            auxiliary_count = auxiliary_spp(math.ceil(self.spp))
+            auxiliary = auxiliary_images(self.tracer, camera, positions, columns, auxiliary_count, seed)
+            traced = TracedImage(radiance, *auxiliary)
+        clock.lap("trace")
+        image = traced.denoised()
+        clock.lap("denoise")
+        return image
+
     def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class FullTrace(_PathTraced):
-    """Traces all pixels with the same sample count, at least 1; if fractional, the mean over all pixels."""
-
-    spp: float
-    denoised: bool
+    """Traces all pixels with the same sample count."""
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -236,22 +226,17 @@ class FullTrace(_PathTraced):
         return self.spp
 
     def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
-        positions = frame_positions(camera)
-        return traced_image(
-            self.tracer, camera, positions, camera.width, self.spp, seed, self.denoised, clock
-        )
+        return self.traced(camera, frame_positions(camera), camera.width, seed, clock)
 
 
 @dataclass(frozen=True)
 class Enlarged(_PathTraced):
     """Traces the whole frame with fewer, larger pixels and enlarges it bicubically, denoised before that.
 
-    The share is the number of traced pixels over the frame's; spp are samples per traced pixel.
+    The share is the number of traced pixels over the frame's.
     """
 
     share: float
-    spp: int
-    denoised: bool
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -268,7 +253,7 @@ class Enlarged(_PathTraced):
             side.ravel() for side in np.meshgrid(np.arange(columns) * width, np.arange(rows) * height)
         )
         positions = box_positions(left, top, np.full(left.shape, width), np.full(left.shape, height))
-        small = traced_image(self.tracer, camera, positions, columns, self.spp, seed, self.denoised, clock)
+        small = self.traced(camera, positions, columns, seed, clock)
         planes = torch.from_numpy(small).permute(2, 0, 1)[None]  # (1, 3, rows, columns)
         size = (camera.height, camera.width)
         # Bicubic weights overshoot at edges, below 0 as well.
@@ -284,16 +269,10 @@ class Enlarged(_PathTraced):
 
 @dataclass(frozen=True)
 class Rmfr(_PathTraced):
-    """RMFR: traces a smaller buffer, densest at the gaze, and maps it back to the frame.
-
-    There are spp samples per pixel of the buffer, at least 1; if fractional, the mean. The buffer is what is
-    denoised.
-    """
+    """RMFR: traces a smaller buffer, densest at the gaze, denoised before it is mapped back to the frame."""
 
     f: float
     sigma: float
-    spp: float
-    denoised: bool
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -306,8 +285,7 @@ class Rmfr(_PathTraced):
     def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         warp = self._warp(camera, gaze)
         positions, columns = box_positions(*warp.boxes()), warp.across.buffer
-        buffer = traced_image(self.tracer, camera, positions, columns, self.spp, seed, self.denoised, clock)
-        image = warp.frame(buffer)
+        image = warp.frame(self.traced(camera, positions, columns, seed, clock))
         clock.lap("enlarge")
         return image
 
@@ -353,7 +331,7 @@ def families(tracer: Tracer, tuning: Tuning) -> dict[str, Family]:
         "full, denoised": lambda rays: FullTrace(tracer, max(1.0, rays), denoised=True),
         "enlarged": lambda rays: enlarged(tracer, 1, rays, denoised=False),
         "enlarged, denoised": lambda rays: enlarged(tracer, tuning.enlarged_spp, rays, denoised=True),
-        "rmfr": lambda rays: Rmfr(tracer, _FPC_F, _FPC_SIGMA, max(1.0, rays * _FPC_SIGMA**2), denoised=False),
+        "rmfr": lambda rays: Rmfr(tracer, max(1.0, rays * _FPC_SIGMA**2), False, _FPC_F, _FPC_SIGMA),
         "rmfr, tuned": lambda rays: warped(tracer, tuning.frame, rays),
     }
     if tuning.fovea != tuning.frame:
@@ -364,13 +342,13 @@ def families(tracer: Tracer, tuning: Tuning) -> dict[str, Family]:
 def enlarged(tracer: Tracer, least_spp: int, rays: float, denoised: bool) -> Enlarged:
     """The enlarged frame with that many rays per frame pixel, and at least `least_spp` per traced pixel."""
     spp = _whole_spp(least_spp, rays)
-    return Enlarged(tracer, rays / spp, spp, denoised)
+    return Enlarged(tracer, spp, denoised, rays / spp)
 
 
 def warped(tracer: Tracer, tuning: WarpTuning, rays: float) -> Rmfr:
     """RMFR with that many rays per frame pixel, and at least the tuned samples per buffer pixel."""
     spp = _whole_spp(tuning.spp, rays)
-    return Rmfr(tracer, tuning.f, float(np.sqrt(spp / rays)), spp, tuning.denoised)
+    return Rmfr(tracer, spp, tuning.denoised, tuning.f, float(np.sqrt(spp / rays)))
 
 
 def _whole_spp(least_spp: int, rays: float) -> int:

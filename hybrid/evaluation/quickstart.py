@@ -93,7 +93,7 @@ def quickstart(
         "reference_spp": _REFERENCE_SPP,
         "machine": machine(),
     }
-    write_page(folder / "index.html", folder, result)
+    write_page(folder, result)
     return result
 
 
@@ -208,8 +208,8 @@ _IMAGES = (
 )
 
 
-def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
-    """Writes the page, which embeds the folder's four images; UserError if it cannot be written."""
+def write_page(folder: Path, result: dict[str, Any]) -> None:
+    """Writes index.html, which embeds the folder's four images; UserError if it cannot be written."""
     machine = result["machine"]
     page = rendered(
         "quickstart.html",
@@ -233,7 +233,7 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
         "images show the first of them. Quality is the mean over the views and times are medians of all "
         "their frames; in brackets the least and the greatest value of a view.",
     )
-    write_text(path, page)
+    write_text(folder / "index.html", page)
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:

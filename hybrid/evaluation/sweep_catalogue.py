@@ -5,9 +5,9 @@ Many repeat tables and figures of Foveated Path Culling (FPC).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 from compose.base.errors import UserError
@@ -180,50 +180,38 @@ def _view(base: Setting, views: list[View]) -> list[Setting]:
     ]
 
 
+def _varying(base: Setting, frames: Iterable[FrameSettings], *names: str) -> list[Setting]:
+    """A row for each of some settings of frames, of which the named ones vary."""
+    known = ((frame, frame.as_json()) for frame in frames)
+    return [replace(base, frame=frame, varied={name: has[name] for name in names}) for frame, has in known]
+
+
 def _band(base: Setting, views: list[View]) -> list[Setting]:
-    radii = [(outer, outer * share) for outer in _BAND_OUTER for share in _BAND_SHARES]
-    return [_with(base, {"fov_a": a, "fov_b": b}, replace(base.frame, fov_a=a, fov_b=b)) for a, b in radii]
+    radii = ((outer, outer * share) for outer in _BAND_OUTER for share in _BAND_SHARES)
+    frames = (replace(base.frame, fov_a=outer, fov_b=inner) for outer, inner in radii)
+    return _varying(base, frames, "fov_a", "fov_b")
 
 
 def _acuity_models(base: Setting, views: list[View]) -> list[Setting]:
-    return [
-        _with(base, {"acuity_model": name}, replace(base.frame, acuity_model=name)) for name in ACUITY_MODELS
-    ]
+    frames = (replace(base.frame, acuity_model=name) for name in ACUITY_MODELS)
+    return _varying(base, frames, "acuity_model")
 
 
 def _denoiser(base: Setting, views: list[View]) -> list[Setting]:
-    return [
-        _with(base, {"fovea": mode.value, "spp": spp}, replace(base.frame, fovea=mode, spp=spp))
-        for spp in _DENOISER_SPP
-        for mode in FoveaMode
-    ]
+    frames = (replace(base.frame, fovea=mode, spp=spp) for spp in _DENOISER_SPP for mode in FoveaMode)
+    return _varying(base, frames, "fovea", "spp")
 
 
 def _paths(base: Setting, views: list[View]) -> list[Setting]:
-    return [
-        _with(
-            base,
-            {"fovea": mode.value, "spp": spp, "paths": one.value},
-            replace(base.frame, fovea=mode, spp=spp, paths=one),
-        )
-        for mode in (FoveaMode.DENOISED, FoveaMode.FUSED)
-        for spp in _PATHS_SPP
-        for one in Placement
-    ]
+    several = product((FoveaMode.DENOISED, FoveaMode.FUSED), _PATHS_SPP, Placement)
+    frames = (replace(base.frame, fovea=mode, spp=spp, paths=paths) for mode, spp, paths in several)
+    return _varying(base, frames, "fovea", "spp", "paths")
 
 
 def _trade(base: Setting, views: list[View]) -> list[Setting]:
-    frames = [
-        replace(base.frame.with_radius(outer), fovea=mode, spp=spp)
-        for outer in _TRADE_OUTER
-        for spp in _TRADE_SPP
-        for mode in (FoveaMode.DENOISED, FoveaMode.FUSED)
-    ]
-    names = ("spp", "fov_a", "fov_b")
-    return [
-        _with(base, {"fovea": one.fovea.value, **{name: getattr(one, name) for name in names}}, one)
-        for one in frames
-    ]
+    several = product(_TRADE_OUTER, _TRADE_SPP, (FoveaMode.DENOISED, FoveaMode.FUSED))
+    frames = (replace(base.frame.with_radius(outer), spp=spp, fovea=mode) for outer, spp, mode in several)
+    return _varying(base, frames, "fovea", "spp", "fov_a", "fov_b")
 
 
 SWEEPS = {

@@ -1,4 +1,4 @@
-"""A whole evaluation: its rows, resumed after an interruption, and its page in a browser."""
+"""The evaluation of a scene: its references, its work, and what it writes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import hybrid.evaluation.entries
@@ -13,11 +14,13 @@ import hybrid.evaluation.equal_cost
 import hybrid.measure.frame_quality
 from compose.base.errors import UserError
 from hybrid.evaluation import sweep_catalogue as catalogue
-from hybrid.evaluation.evaluation import Evaluation
-from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.evaluation.evaluation import Evaluation, WorkProgress, reference_samples, stored_reference
+from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.evaluation.results import HALVES, OURS
 from hybrid.evaluation.scoring import score
-from hybrid.measure.image_metrics import REGIONS
+from hybrid.measure.image_metrics import REGIONS, regions
+from hybrid.measure.reference import Reference
+from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_png
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
@@ -212,3 +215,97 @@ def test_a_forest_of_another_scene_is_refused(made, tmp_path):
     with pytest.raises(UserError, match="belongs to scene cornell"):
         Evaluation(room, load_forest(made / "box.forest"), EvaluationSettings(), tmp_path, None)
     assert not list(tmp_path.iterdir())
+
+
+SETTINGS = EvaluationSettings(FrameSettings((0.25, 0.5), 25, 25), width=64, height=40, reference_spp=3)
+
+
+def made_up(height: int = 40, width: int = 64) -> Reference:
+    rng = small.rng()
+    halves = tuple(rng.uniform(0.2, 0.8, (height, width, 3)).astype(np.float32) for _ in range(2))
+    errors = rng.uniform(1e-4, 2e-4, (height, width)).astype(np.float32)
+    return Reference(0.5 * (halves[0] + halves[1]), halves, errors)
+
+
+def test_the_disc_has_eight_times_the_samples():
+    samples = reference_samples(SETTINGS).reshape(40, 64)
+    assert set(samples.ravel()) == {3, 24}
+    assert FOVEAL_REFERENCE == 8
+    # A radius of 10 pixels around (16, 20).
+    assert (samples == 24).sum() == pytest.approx(np.pi * 10**2, rel=0.03)
+    assert samples[20, 7] == samples[11, 16] == 24
+    assert samples[20, 27] == samples[32, 16] == 3
+
+
+def test_a_reference_is_made_once_and_comes_back_as_it_was(tmp_path):
+    file, made = tmp_path / "work" / "reference-0.exr", []
+    file.parent.mkdir()
+
+    def make() -> Reference:
+        made.append(made_up())
+        return made[-1]
+
+    first, again = stored_reference(file, make), stored_reference(file, make)
+    assert len(made) == 1
+    for found in (first, again):
+        np.testing.assert_array_equal(found.radiance, made[0].radiance)
+        np.testing.assert_array_equal(found.errors, made[0].errors)
+        for half, expected in zip(found.halves, made[0].halves, strict=True):
+            np.testing.assert_array_equal(half, expected)
+
+
+def test_errors_are_told_by_region():
+    reference = made_up()
+    reference.halves[1][...] = reference.halves[0]
+    x, y = np.arange(64) + 0.5 - 16, np.arange(40) + 0.5 - 20
+    reference.errors[...] = np.where(np.hypot(*np.meshgrid(x, y)) < 10, 1e-4, 1e-2)
+    parts = regions(SETTINGS.frame.foveation, reference.radiance)
+    psnr = {name: reference.psnr(part.mask) for name, part in parts.items()}
+    assert psnr["foveal"] == pytest.approx(40)
+    assert psnr["peripheral"] == pytest.approx(20)
+    assert 20 < psnr["whole"] < 21
+    assert "salient" in psnr
+
+
+KINDS = ("references", "tuning", "costs", "quality", "times")
+
+
+@pytest.fixture
+def reports() -> list[tuple[str, float, float]]:
+    return []
+
+
+def progress(reports, **settings: int) -> WorkProgress:
+    return WorkProgress(EvaluationSettings(**settings), lambda *report: reports.append(report))
+
+
+def test_all_work_together_is_the_total(reports):
+    work = progress(reports)
+    for kind in KINDS:
+        for done in range(1, 4):
+            work.of(kind)(done, 3)
+    assert [kind for kind, _, _ in reports[::3]] == list(KINDS)
+    totals = {total for _, _, total in reports}
+    assert len(totals) == 1
+    shares = [done / total for _, done, total in reports]
+    assert shares == sorted(shares)
+    assert shares[0] > 0
+    assert shares[-1] == pytest.approx(1)
+
+
+def test_a_kind_of_work_does_not_count_twice(reports):
+    work = progress(reports)
+    work.of("quality")(1, 2)
+    work.of("quality")(1, 2)
+    assert reports[0] == reports[1]
+
+
+def test_more_of_a_kind_weighs_more(reports):
+    few, many = progress(reports, repeats=10), progress(reports, repeats=100)
+    few.of("times")(1, 1)
+    many.of("times")(1, 1)
+    assert reports[1][1] == pytest.approx(10 * reports[0][1])
+    few, many = progress(reports, width=64), progress(reports, width=128)
+    few.of("references")(1, 1)
+    many.of("references")(1, 1)
+    assert reports[3][1] == pytest.approx(2 * reports[2][1])

@@ -1,4 +1,4 @@
-"""Timing: which frames are measured, along which path, and with which cameras."""
+"""Times of frames, and paths of the gaze."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from compose.camera.camera import View
+from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from hybrid.measure.frame_times import (
     REACH,
+    covered,
     gaze_path,
     interleaved_passes,
     jittered_view,
     percentiles,
+    reach_for,
 )
 from hybrid.preparation.scene_plan import as_planned
 from hybrid.render.frame_renderer import Renderer
@@ -92,3 +94,28 @@ class TestJitter:
         assert len(known) > 10
         # A few settle late, whatever the camera. One that depended on it would be another for each of ten.
         assert len(kernels(range(8, 18)) - known) < 5
+
+
+def camera(width: int, height: int) -> Camera:
+    return Camera(np.eye(4), width, height, height, height, width / 2, height / 2)
+
+
+@pytest.mark.parametrize("size", [(640, 390), (506, 530), (829, 265), (265, 530)])
+def test_discs_cover_along_the_path_what_they_cover_in_the_middle(size):
+    frame = camera(*size)
+    for radius in range(10, 100, 10):
+        along = covered(radius, frame, 15, reach_for(radius, frame))
+        assert along == pytest.approx(covered(radius, frame, 1, (0, 0)), rel=0.006)
+    # What the default path would lose: the test can tell.
+    assert covered(80, camera(506, 530), 15, REACH) < covered(80, camera(506, 530), 1, (0, 0)) - 0.001
+    assert covered(60, camera(506, 530), 15, REACH) < 0.91
+
+
+def test_each_axis_has_its_own_reach():
+    """In a wide frame there is room to the sides where there is none above and below."""
+    across, down = reach_for(60, camera(829, 265))
+    assert across == REACH[0]
+    assert 0 < down <= 0.02
+    assert reach_for(20, camera(829, 265)) == REACH
+    narrow = reach_for(20, camera(265, 530))
+    assert narrow == pytest.approx((0.1, REACH[1]))

@@ -1,4 +1,4 @@
-"""The cache folder, and which forest of a scene is the newest."""
+"""The cache folder: forests and receipts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.base import cache_folder as cache
-from hybrid.base.cache_folder import home, newest_forest, scene_folder, store_forest
+from hybrid.base.cache_folder import (
+    has_receipt,
+    home,
+    keep_receipt,
+    newest_forest,
+    scene_folder,
+    store_forest,
+)
+from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import Scene, load_scene
 from splat.io.forest_file import load_forest, save_forest
 from splat.model.forest import Forest
@@ -156,3 +164,34 @@ def test_a_forest_of_another_scene_in_the_folder_is_not_the_newest(scene, folder
     (folder / "damaged.safetensors").write_bytes((folder / "new.safetensors").read_bytes()[:50])
     (folder / "empty.safetensors").write_text("")
     assert got(newest_forest(scene).name) == "new.safetensors"
+
+
+def test_frames_without_a_receipt_were_not_captured_here(made, monkeypatch):
+    frames = read_frame_set(made / "frames")
+    assert not has_receipt(frames)
+    # The command that captured them kept one.
+    monkeypatch.setenv("HYBRID_HOME", str(made / "home"))
+    assert has_receipt(frames)
+
+
+def test_a_receipt_is_of_the_files_and_not_of_their_folder(made, tmp_path):
+    keep_receipt(read_frame_set(made / "frames"))
+    copy = tmp_path / "copy"
+    shutil.copytree(made / "frames", copy)
+    assert has_receipt(read_frame_set(copy))
+
+
+@pytest.mark.parametrize("kind", ["file", "estimates", "halves"])
+def test_a_receipt_does_not_fit_other_files(made, tmp_path, kind):
+    keep_receipt(read_frame_set(made / "frames"))
+    copy = tmp_path / "copy"
+    shutil.copytree(made / "frames", copy)
+    frames = read_frame_set(copy)
+    entry = next(entry for entry in frames.entries if entry.halves)
+    changed = {
+        "file": entry.file,
+        "estimates": next(iter(entry.estimates.values())),
+        "halves": entry.halves[0],
+    }
+    changed[kind].write_bytes(changed[kind].read_bytes() + b"\0")
+    assert not has_receipt(read_frame_set(copy))

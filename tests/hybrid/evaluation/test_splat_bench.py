@@ -1,10 +1,23 @@
-"""Random splats for the rasterizer's bench, and its row."""
+"""Benches of the rasterizer and of the periphery."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from hybrid.evaluation.splat_bench import bench_raster, random_splats
+from compose.eye.display import Display
+from hybrid.evaluation.splat_bench import (
+    FULL,
+    GAZES,
+    bench_periphery,
+    bench_raster,
+    display_camera,
+    random_splats,
+)
+from hybrid.render.frame_settings import FrameSettings
+from pathtrace.scene.scene import load_scene
+from tests import small
+from tests.hybrid.forests import rough_forest
 from tests.splat.raster.splats import inverse_covariance
 
 
@@ -28,3 +41,19 @@ def test_a_round_is_counted_and_the_same_seed_has_the_same_pairs(arrays):
     assert done == 2 * [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert rows[0]["pairs"] == rows[1]["pairs"] > 200
     assert rows[0]["forward_ms"]["p50"] > 0
+
+
+DISPLAY = Display(96, 64, 60.0)
+
+
+def test_full_detail_is_its_own_reference(backend):
+    scene = load_scene(small.corner())
+    camera = display_camera(scene.camera, DISPLAY)
+    assert (camera.width, camera.height) == (96, 64)
+    assert camera.position == pytest.approx(scene.camera.position)
+    settings = FrameSettings(fov_a=20, fov_b=20, display=DISPLAY)
+    rows = bench_periphery(rough_forest(scene), camera, settings, 3, 1, lambda done, total: None)
+    full = [row for row in rows if row["acuity_model"] == FULL]
+    assert len(full) == len(GAZES)
+    assert all(row["ssim"] == pytest.approx(1) and row["ratio"] == 1 for row in full)
+    assert all(row["ssim"] <= 1 + 1e-6 for row in rows)

@@ -1,4 +1,4 @@
-"""Time of look-ups: what is measured, and what is made of the times that a clock shows."""
+"""The bench of integrators: efficiency, bias, and the time of a look-up."""
 
 from __future__ import annotations
 
@@ -13,11 +13,82 @@ import pytest
 
 from compose.camera.camera import Camera
 from hybrid.evaluation import integrator_bench as look_up
-from hybrid.evaluation.integrator_bench import look_up_ns
+from hybrid.evaluation.integrator_bench import (
+    BLOCK,
+    bench_integrator,
+    block_errors,
+    look_up_ns,
+    relative_errors,
+)
+from hybrid.render import irradiance
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from tests import small
+
+
+def test_a_room_is_traced_with_less_noise_and_little_bias(backend, monkeypatch):
+    # As many points as in use.
+    monkeypatch.setattr(irradiance, "fill_cache", fill_cache)
+    scene = load_scene("room")
+    steps = []
+    found = bench_integrator(
+        scene, scene.camera.resized(64, 64), 128, 3, lambda done, total: steps.append((done, total))
+    )
+    assert [(row["integrator"], row["spp"]) for row in found["rows"]] == [
+        *(("path", 1), ("cached", 1)),
+        *(("path", 4), ("cached", 4)),
+    ]
+    for path, cached in (found["rows"][:2], found["rows"][2:]):
+        assert path["efficiency"] == pytest.approx(1)
+        work = [row["squared_error"] * row["ms"]["p50"] for row in (path, cached)]
+        assert cached["efficiency"] == pytest.approx(work[0] / work[1])
+        assert cached["squared_error"] < 0.7 * path["squared_error"]
+    for row in found["bias"]:
+        assert abs(row["mean"]) < 0.02
+        assert row["p95_block"] <= row["worst_block"] < 0.05
+    assert found["cache"]["cells"] > 100
+    assert found["cache"]["bytes"] < 200 << 20
+    assert found["cache"]["transfer_bytes"] < 200 << 20
+    assert 0 < found["cache"]["look_up_ns"] < 1e5
+    assert steps[-1][0] == steps[-1][1]
+
+
+def test_a_black_view_has_no_error(backend):
+    scene = load_scene({**small.corner(), "lamp": {"type": "point", "intensity": 0.0, "position": [0, 0, 0]}})
+    found = bench_integrator(scene, scene.camera, 16, 3, lambda done, total: None)
+    assert all(row["squared_error"] == 0 for row in found["rows"])
+    assert all(row["mean"] == 0 for row in found["bias"])
+
+
+def test_errors_are_those_of_mean_and_blocks():
+    truth = np.ones((2 * BLOCK + 5, 3 * BLOCK, 3))
+    image = truth.copy()
+    image[:BLOCK, BLOCK : 2 * BLOCK] *= 1.5
+    image[-5:, :BLOCK] *= 0.25
+    found = relative_errors(image, truth)
+    area = (0.5 * BLOCK**2 - 0.75 * 5 * BLOCK) / truth[..., 0].size
+    assert found["mean"] == pytest.approx(area)
+    assert found["worst_block"] == pytest.approx(0.75)
+    assert found["p95_block"] < 0.75
+
+
+def test_black_blocks_have_no_relative_error():
+    truth = np.zeros((BLOCK, 2 * BLOCK, 3))
+    assert relative_errors(truth, truth) == {"mean": 0.0, "worst_block": 0.0, "p95_block": 0.0}
+    truth[:, :BLOCK] = 2
+    image = truth.copy()
+    image[:, BLOCK:] = 1
+    assert relative_errors(image, truth)["worst_block"] == 0
+
+
+def test_errors_of_blocks_have_signs():
+    truth = np.ones((BLOCK, 2 * BLOCK, 3))
+    image = truth.copy()
+    image[:, :BLOCK] = 0.5
+    np.testing.assert_allclose(block_errors(image, truth), [-0.5, 0])
+    assert block_errors(image, 0 * truth) == [0]
+
 
 SIDE = 16
 
@@ -129,7 +200,7 @@ def test_only_the_second_kernel_looks_up_what_is_seen_from_inside(furnace, monke
         look_up_ns(scene, camera, cache)
     assert events == ["start", "stop", "start", *["look-up"] * 3, "stop"] * 3
     jitters = []
-    for position, normal, area, segments, jitter, active, known, irradiance in found:
+    for position, normal, area, segments, jitter, active, known, answer in found:
         place, side = position.numpy().T, normal.numpy().T
         np.testing.assert_allclose(np.linalg.norm(place, axis=1), 3, rtol=1e-4)
         np.testing.assert_allclose(side, -place / 3, atol=1e-4)
@@ -139,7 +210,7 @@ def test_only_the_second_kernel_looks_up_what_is_seen_from_inside(furnace, monke
         assert known.numpy().mean() > 0.9
         assert (area.numpy() == np.inf).all()
         assert (segments.numpy() >= len(cache.irradiance)).all()
-        light = irradiance.numpy().T[known.numpy()]
+        light = answer.numpy().T[known.numpy()]
         assert light.mean() == pytest.approx(np.pi, rel=0.05)
         jitters.append(jitter.numpy())
     # Each look-up has chances of its own.
