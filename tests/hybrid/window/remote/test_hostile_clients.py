@@ -200,10 +200,22 @@ def test_a_client_that_says_it_has_nothing_gets_a_whole_mask(serve, camera):
         assert whole.content == first.content
 
 
+def slow_reader(port: int) -> socket.socket:
+    """A connection whose small buffer was known from the start: a window that shrinks stalls both ways."""
+    for family, kind, protocol, _, address in socket.getaddrinfo("localhost", port, type=socket.SOCK_STREAM):
+        raw = socket.socket(family, kind, protocol)
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        raw.settimeout(LONG)
+        with contextlib.suppress(ConnectionRefusedError):
+            raw.connect(address)
+            return raw
+        raw.close()
+    raise ConnectionRefusedError(port)
+
+
 def test_pings_whose_answers_nobody_reads_end_the_connection(serve, log, camera):
     with serve(rate=100_000.0) as served:
-        raw = socket.create_connection(("localhost", served.port), timeout=LONG)
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        raw = slow_reader(served.port)
         raw.sendall(
             f"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             f"Sec-WebSocket-Key: {'A' * 22}==\r\nSec-WebSocket-Version: 13\r\n"
