@@ -240,12 +240,19 @@ def gather_seen(scene: AnyScene, points: Points, point: Indices, square: Floats,
     sampler = random_numbers(dr.opaque(mi.UInt32, seed), len(point))
     at = surfaces_at(points.arrays, mi.UInt32(point.astype(np.uint32)))
     found = followed(scene, sampler, at, mi.Point2f(square.T), mi.Bool(True))
-    hits, counts = (found.hit.p, mi.Vector3f(found.side)), (found.passed, found.bounces)
-    dr.eval(hits, counts, found.valid, found.shiny, found.radiance, found.reflectance)
-    passed, bounces = (count.numpy().astype(np.int64) for count in counts)
+    position, side = found.hit.p, mi.Vector3f(found.side)
+    flags = found.passed, found.valid, found.shiny, found.bounces
+    dr.eval(found.radiance, position, side, flags, found.reflectance)
     return Seen(
-        *(point, square, found.radiance.numpy().T, passed, Points(*(part.numpy().T for part in hits))),
-        *(found.valid.numpy(), found.shiny.numpy(), bounces, found.reflectance.numpy().T),
+        point,
+        square,
+        radiance=found.radiance.numpy().T,
+        passed=found.passed.numpy().astype(np.int64),
+        hits=Points(position.numpy().T, side.numpy().T),
+        valid=found.valid.numpy(),
+        shiny=found.shiny.numpy(),
+        bounces=found.bounces.numpy().astype(np.int64),
+        reflectance=found.reflectance.numpy().T,
     )
 
 

@@ -260,7 +260,16 @@ def _loaded(
         moving = MovingScene(instanced or ordered, moves, names, place, name)
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(
-        *(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving),
+        name,
+        fingerprint,
+        ordered,
+        camera,
+        max_depth=depth,
+        own_depth=depth,
+        own_hash=fingerprint,
+        place=place,
+        thin_glass=thin_glass,
+        moving=moving,
         optics=optics,
         left_out=left_out,
         instanced=instanced,
