@@ -30,7 +30,7 @@ from tests.extremes import extreme
 from tests.hybrid.preparation.tiny import make_tiny
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
-SIDE = 128
+SIDE = 96
 
 
 WRITTEN = {"index.html", "hybrid.exr", "hybrid.png", "reference.png", "splat.png", "weights.png"}

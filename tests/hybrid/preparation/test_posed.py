@@ -85,11 +85,11 @@ def test_distances_are_those_of_the_hull_and_of_points(folders):
 
 def test_an_interrupted_training_ends_as_one_that_was_not(folders, tmp_path):
     frames = read_frames(folders["nerfies"])
-    settings = replace(SETTINGS, iterations=40, motion=MotionModel.HEX_PLANE)
+    settings = replace(SETTINGS, iterations=20, motion=MotionModel.HEX_PLANE)
     whole = train(frames, tmp_path / "whole", settings, report=lambda _: None)
 
     def interrupt(done: int, total: int) -> None:
-        if done == 25:
+        if done == 12:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -20,7 +20,7 @@ from tests.extremes import extreme
 from tests.splat.training.test_moving import VIEWS, scene
 
 LEARNED = [model for model in MotionModel if model.field is not None]
-SETTINGS = TrainingSettings(iterations=150, gaussians=900, layers=1, degree=0, seed=3)
+SETTINGS = TrainingSettings(iterations=100, gaussians=900, layers=1, degree=0, seed=3)
 
 
 def error(arrays, trainer: Trainer, view: TrainingView) -> float:

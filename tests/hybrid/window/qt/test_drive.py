@@ -119,7 +119,7 @@ def test_every_thread_ends_with_the_window(toured):
 
 
 def test_random_input_breaks_nothing(screen, made, tmp_path):
-    seen = driven("fuzz", screen, made, tmp_path, 5)
+    seen = driven("fuzz", screen, made, tmp_path, 3)
     assert seen["error"] is None
     assert not seen["running"]
 
