@@ -39,7 +39,7 @@ class Arrays:
         """Types without derivatives."""
         return import_module(f"drjit.{self.backend}")
 
-    @property
+    @cached_property
     def ad(self) -> ModuleType:
         """Types with derivatives."""
         return import_module(f"drjit.{self.backend}.ad")

@@ -76,7 +76,9 @@ class Learner:
     ):
         self.forests: Newest[tuple[Path, Forest]] = Newest()
         self._say, self._ending = say, False
-        given = json.dumps({"scene": asdict(scene), "start": start and str(start), "urgent": urgent})
+        given = json.dumps(
+            {"scene": asdict(scene), "start": None if start is None else str(start), "urgent": urgent}
+        )
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__, given],
             stdin=subprocess.PIPE,

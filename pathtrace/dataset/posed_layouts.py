@@ -156,12 +156,13 @@ def read_synthetic(folder: Path) -> list[PosedImage]:
 def read_nerfstudio(folder: Path, content: dict[str, Any]) -> list[PosedImage]:
     """The images of a folder in the order of its description; UserError as in `read_synthetic`."""
     images = _frames(folder / TRANSFORMS, content, False)
-    # By convention, unless somebody says which.
-    chosen = {image.file for image in images[::HELD_OUT_EVERY]} if len(images) > HELD_OUT_EVERY else set()
     with described_by(folder / TRANSFORMS):
         if named := content.get("test_filenames") or content.get("val_filenames"):
             chosen = {_image_file(folder, name) for name in named}
-    return [replace(image, held_out=image.file in chosen) for image in images]
+            return [replace(image, held_out=image.file in chosen) for image in images]
+    if len(images) <= HELD_OUT_EVERY:
+        return images
+    return [replace(image, held_out=number % HELD_OUT_EVERY == 0) for number, image in enumerate(images)]
 
 
 def _frames(path: Path, content: dict[str, Any], held_out: bool) -> list[PosedImage]:

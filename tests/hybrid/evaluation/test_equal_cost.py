@@ -12,7 +12,6 @@ from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from hybrid.evaluation import equal_cost as module
-from hybrid.evaluation import equal_cost as tuning
 from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time, relative_time, tuned
 from hybrid.evaluation.methods import TimedImage, WarpTuning
 from tests import small
@@ -64,12 +63,8 @@ def test_settings_are_timed_once():
     assert len(timed) == 7 * len(set(timed))
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """A method whose frames take the given times, one after the other."""
-
-    times: list[float]
-    asked: list[tuple[bytes, int]] = field(default_factory=list)
+class WithoutSettings:
+    """A method of one ray per pixel."""
 
     @property
     def settings(self) -> dict[str, float]:
@@ -77,6 +72,14 @@ class Sequence:
 
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return 1.0
+
+
+@dataclass(frozen=True)
+class Sequence(WithoutSettings):
+    """A method whose frames take the given times, one after the other."""
+
+    times: list[float]
+    asked: list[tuple[bytes, int]] = field(default_factory=list)
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         self.asked.append((view.key, seed))
@@ -94,20 +97,13 @@ def test_a_relative_time_is_the_ratio_of_medians_after_a_frame_that_warms_up(mon
 
 
 @dataclass(frozen=True)
-class Noisy:
+class Noisy(WithoutSettings):
     """A method whose frames take about the given time; it remembers what it was asked for."""
 
     time: float
     noise: float
     seed: int
     asked: list[tuple[Camera, Gaze]] = field(default_factory=list)
-
-    @property
-    def settings(self) -> dict[str, float]:
-        return {}
-
-    def rays(self, camera: Camera, gaze: Gaze) -> float:
-        return 1.0
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         self.asked.append((view.camera, gaze))
@@ -165,15 +161,15 @@ class NoisyImages:
 @pytest.fixture
 def tune(monkeypatch):
     """Tunes methods of known noise; returns the tuning and how often progress was called."""
-    monkeypatch.setattr(tuning, "_F", (0.1, 0.4))
+    monkeypatch.setattr(module, "_F", (0.1, 0.4))
     steps = []
 
     def run(warps: dict[tuple, NoisyImages], enlarged: dict[int, NoisyImages], rays: float = 0.3):
         monkeypatch.setattr(
-            tuning, "warped", lambda tracer, t, r: warps.get((t.f, t.spp, t.denoised), NoisyImages(0.3, 0.3))
+            module, "warped", lambda tracer, t, r: warps.get((t.f, t.spp, t.denoised), NoisyImages(0.3, 0.3))
         )
         monkeypatch.setattr(
-            tuning, "enlarged", lambda tracer, spp, r, denoised: enlarged.get(spp, NoisyImages(0.3, 0.3))
+            module, "enlarged", lambda tracer, spp, r, denoised: enlarged.get(spp, NoisyImages(0.3, 0.3))
         )
         view = VIEW.resized(SIZE, SIZE)
         found = tuned(None, [view] * 2, [REFERENCE] * 2, FOVEATION, rays, lambda *step: steps.append(step))

@@ -14,7 +14,6 @@ from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from compose.image.colour import bytes_from_radiance
 from hybrid.base.cache_folder import newest_forest
-from hybrid.evaluation import quickstart as comparison
 from hybrid.evaluation import quickstart as module
 from hybrid.evaluation.methods import FullTrace
 from hybrid.evaluation.quickstart import compare, quickstart
@@ -151,7 +150,7 @@ def test_the_full_frame_is_denoised_where_the_disc_is(renderer, monkeypatch, mod
         made.append((spp, denoised))
         return FullTrace(tracer, spp, denoised)
 
-    monkeypatch.setattr(comparison, "FullTrace", recorded)
+    monkeypatch.setattr(module, "FullTrace", recorded)
     camera = renderer.scene.camera.resized(32, 32)
     compare(renderer, [View(camera)], FrameSettings(fovea=mode, spp=2, fov_a=30, fov_b=10), 3, 1, ignore)
     assert made == [(2, mode is not FoveaMode.RAW)]
@@ -160,7 +159,7 @@ def test_the_full_frame_is_denoised_where_the_disc_is(renderer, monkeypatch, mod
 def test_times_of_methods_are_told_apart():
     """Sleeping takes at least as long as asked."""
     slow, quick = lambda gaze, seed: time.sleep(0.02), lambda gaze, seed: None
-    times = [[comparison._timed(method, Gaze(), 0)["total"] for _ in range(3)] for method in (slow, quick)]
+    times = [[module._timed(method, Gaze(), 0)["total"] for _ in range(3)] for method in (slow, quick)]
     assert min(times[0]) >= 20 > min(times[1])
 
 
@@ -168,7 +167,7 @@ def test_ratios_are_those_of_the_medians(renderer, monkeypatch):
     """Path tracing takes 30 ms, hybrid frames 10, their discs 6."""
     times = [[10.0, 9, 11], [30.0, 90, 3], [6.0, 6, 6]]
     found = [[{"total": frame} for frame in frames] for frames in times]
-    monkeypatch.setattr(comparison, "interleaved_passes", lambda methods, *_: found)
+    monkeypatch.setattr(module, "interleaved_passes", lambda methods, *_: found)
     row = compare(renderer, [View(renderer.scene.camera)], FrameSettings(), 3, 1, ignore)
     assert (row["ratio"], row["ceiling"]) == (3.0, 5.0)
     assert row["path_traced_ms"]["p50"] == 30

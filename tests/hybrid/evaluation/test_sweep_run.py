@@ -16,8 +16,6 @@ from hybrid.base.identity import Journal, short_hash
 from hybrid.evaluation import methods as path_traced
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation import sweep_run as module
-from hybrid.evaluation import sweep_run as record
-from hybrid.evaluation import sweep_run as run_module
 from hybrid.evaluation.methods import HybridMethod
 from hybrid.evaluation.sweep_catalogue import FPC_FIGURE_14, SWEEPS, Setting, SweepEffort, sweep_named
 from hybrid.evaluation.sweep_run import identity_of, quality_of, regions_of, settings_of_row, sweep, swept
@@ -257,7 +255,7 @@ def test_layers_have_their_gaussians(written):
 
 def test_an_interrupted_sweep_resumes(written, monkeypatch, tmp_path):
     """Sizes that were measured are kept, others and those of other settings are measured."""
-    timed, times = run_module.interleaved_passes, []
+    timed, times = module.interleaved_passes, []
 
     def interrupted(*arguments):
         if len(times) == 1:
@@ -265,7 +263,7 @@ def test_an_interrupted_sweep_resumes(written, monkeypatch, tmp_path):
         times.append(timed(*arguments))
         return times[-1]
 
-    monkeypatch.setattr(run_module, "interleaved_passes", interrupted)
+    monkeypatch.setattr(module, "interleaved_passes", interrupted)
     with pytest.raises(AssertionError, match="130"):
         written("radius")
     (kept,) = home().glob("*/sweep-radius-*.json")
@@ -275,7 +273,7 @@ def test_an_interrupted_sweep_resumes(written, monkeypatch, tmp_path):
         times.append(timed(*arguments))
         return times[-1]
 
-    monkeypatch.setattr(run_module, "interleaved_passes", counted)
+    monkeypatch.setattr(module, "interleaved_passes", counted)
     written("radius", "--spp", 2)
     assert len(times) == 3
     assert kept.exists()
@@ -296,7 +294,7 @@ def test_an_empty_fovea_is_refused_before_anything_is_timed(made, monkeypatch, c
     def forbidden(*_):
         raise AssertionError("timed")
 
-    monkeypatch.setattr(run_module, "interleaved_passes", forbidden)
+    monkeypatch.setattr(module, "interleaved_passes", forbidden)
     command = ["sweep", "cornell", "--forest", made / "box.forest", "--over", "acuity", "--size", 48, 40]
     assert run(monkeypatch, *command, "--reference-spp", 4, "--fov-a", 0.1, "--fov-b", 0.05) == 2
     assert "the foveal region of this frame is empty" in capsys.readouterr().err
@@ -366,7 +364,7 @@ def test_targets_are_stored_for_later(written, monkeypatch, tmp_path):
 def test_rows_are_timed_and_judged_in_views_that_training_has_not_seen(corner, rough, base, monkeypatch, got):
     monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
     judged, timed = [], set()
-    make, render = run_module.reference, HybridMethod.render
+    make, render = module.reference, HybridMethod.render
 
     def recorded(tracer, camera, *rest):
         judged.append(camera)
@@ -378,7 +376,7 @@ def test_rows_are_timed_and_judged_in_views_that_training_has_not_seen(corner, r
         return render(self, view, *rest)
 
     unseen = unseen_views(corner, 3, base.camera.width, base.camera.height)
-    monkeypatch.setattr(run_module, "reference", recorded)
+    monkeypatch.setattr(module, "reference", recorded)
     monkeypatch.setattr(HybridMethod, "render", seen)
     content = sweep(
         corner, rough, "band", base, SweepEffort(3, 1, 4), lambda _: None, lambda done, total: None
@@ -433,7 +431,7 @@ def test_rows_depend_on_everything_that_they_are_measured_with(corner, rough, ba
 
 def test_metrics_that_are_installed_later_are_measured_anew(corner, rough, base, monkeypatch):
     with_quality, without = (identity(corner, rough, base, over) for over in ("band", "radius"))
-    monkeypatch.setattr(record, "missing", lambda: ["nothing is installed"])
+    monkeypatch.setattr(module, "missing", lambda: ["nothing is installed"])
     assert identity(corner, rough, base, "band") != with_quality
     assert identity(corner, rough, base, "radius") == without
 
