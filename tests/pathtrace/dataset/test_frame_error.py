@@ -17,6 +17,7 @@ from pathtrace.dataset.frame_error import (
 from pathtrace.trace.traced_images import TracedImage
 from tests.extremes import extreme
 
+pytestmark = pytest.mark.usefixtures("backend")
 SIZE = 96
 
 
