@@ -5,12 +5,16 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from hybrid.cli import options as o
+from hybrid.cli.many_machines import chosen_part, on_ray, said_part
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.trace import Integrator, integrator_named
+
+if TYPE_CHECKING:
+    from pathtrace.dataset.frame_set import FrameSet
 
 _MOST_VIEWS = 100_000
 
@@ -54,30 +58,43 @@ def capture(
     override: o.Override = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
-) -> o.Measured:
+    part: o.PartName = None,
+    ray: o.RayAddress = None,
+) -> o.Measured | None:
     """Render training frames; resumes if interrupted."""
+    if ray is not None:
+        return on_ray(ray, part, frames)
+    mine = chosen_part(part)
     o.select(backend)
     from hybrid.base.cache_folder import keep_receipt
+    from hybrid.preparation.capture_parts import capture_part
     from hybrid.preparation.decisions import FIXED_SAMPLES, SAMPLES
     from hybrid.render.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.frame_set import CaptureSettings
+    from pathtrace.scene.scene import load_scene
 
     with o.user_errors():
         settings = CaptureSettings(
             views, held_out, *size, spp or FIXED_SAMPLES, held_out_spp, seed=seed, monocular=monocular
         )
     o.require_size(size)
-    is_cached = integrator_named(integrator) is Integrator.CACHED
+    traced = integrator_named(integrator)
     start = time.perf_counter()
+    if mine is not None:
+        asked = o.overridden(override)
+        loaded = load_scene(scene, max_depth, thin_glass, sensor=sensor)
+        stored = capture_part(loaded, frames, mine, settings, spp, traced, asked, progress_bar)
+        said_part(stored)
+        return None
     loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)
     settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
-    cache = cache_for(loaded, progress_bar) if is_cached else None
+    cache = cache_for(loaded, progress_bar) if traced is Integrator.CACHED else None
     with progress_bar("capture (samples)") as bar:
         found = run(loaded, Path(frames), settings, bar, cache)
     keep_receipt(found)
     seconds = time.perf_counter() - start
-    print(f"{len(found.training)} training views and {len(found.held_out)} held-out views in {frames}")
+    print_views(found)
     return {
         "scene": found.scene_name,
         "views": len(found.training),
@@ -88,3 +105,9 @@ def capture(
         "integrator": found.integrator,
         "seconds": seconds,
     }
+
+
+def print_views(frames: FrameSet) -> None:
+    """Says what a frame set has."""
+    counts = f"{len(frames.training)} training views and {len(frames.held_out)} held-out views"
+    print(f"{counts} in {frames.folder}")

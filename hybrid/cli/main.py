@@ -16,6 +16,7 @@ from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_file, import_file
+from hybrid.cli.many_machines import merge
 from hybrid.cli.prepare import plan, prepare, quickstart
 from hybrid.cli.progress import messages_as_lines
 from hybrid.cli.render import render
@@ -45,6 +46,7 @@ for command in (
     serve,
     evaluate,
     sweep,
+    merge,
 ):
     app.command()(o.with_json(command))
 app.command("export")(export_file)

@@ -183,6 +183,22 @@ ReferenceSpp = Annotated[
 ]
 Backend = Annotated[str, run(help="auto, cuda or llvm.")]
 Seed = Annotated[int, run(help="Same seed, same result on the same machine.", min=0, max=MOST_SEED)]
+PartName = Annotated[
+    str | None,
+    run(
+        "--part",
+        metavar="I/N",
+        help="Do one of N parts, each on a machine of its own; `hybrid merge` joins them. With --ray: all/N.",
+    ),
+]
+RayAddress = Annotated[
+    str | None,
+    run(
+        "--ray",
+        metavar="ADDRESS",
+        help="Do all parts as tasks of the Ray cluster at an address, and merge them; local starts Ray here.",
+    ),
+]
 NumberPrecision = Annotated[
     Precision,
     typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,9 +11,10 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli import options as o
+from hybrid.cli.many_machines import chosen_part, on_ray, said_part
 from hybrid.cli.progress import progress_bar
 from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort, sweep_named
-from hybrid.render.frame_settings import SWEEP, FrameSettings
+from hybrid.render.frame_settings import SWEEP
 
 
 def sweep(
@@ -43,6 +45,11 @@ def sweep(
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
     backend: o.Backend = "auto",
+    part: o.PartName = None,
+    ray: o.RayAddress = None,
+    shared: Annotated[
+        Path | None, o.run("--shared", metavar="DIR", help="Folder for the parts of --part, on all machines.")
+    ] = None,
     json_file: o.Json = None,
 ) -> None:
     """Time hybrid frames and full path tracing in turns, over one quantity; resumes if interrupted.
@@ -66,11 +73,23 @@ def sweep(
         display=display,
         integrator=integrator,
     )
+    if (part is None) != (shared is None):
+        raise UserError("--part and --shared: a part of a sweep needs both")
+    if report is not None and part is not None:
+        raise UserError("--report: has no influence on parts; leave it out")
+    if ray is not None:
+        o.write_json(json_file, on_ray(ray, part, shared))
+        return
+    mine = chosen_part(part)
+    if mine is not None and json_file is not None:
+        raise UserError("--json: has no influence on a part; hybrid merge has it, too")
     if fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     o.select(backend)
+    from hybrid.base.parts import first_come
     from hybrid.evaluation.evaluation_page import evaluated_scene, write_report
     from hybrid.evaluation.sweep_run import sweep as run
+    from hybrid.evaluation.sweep_run import sweep_part
     from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass, sensor)
@@ -80,8 +99,16 @@ def sweep(
             raise UserError(f"--report {report}: holds an evaluation of {evaluated}, not of {loaded.name}")
         o.check_writable(report / "index.html")
     base = Setting(o.sized(loaded.camera, size), settings)
-    loaded, found = with_forest(loaded, forest, progress_bar)
-    o.fill_irradiance(loaded, settings)
+    # What is not there yet is made by one part.
+    with nullcontext() if shared is None else first_come(shared):
+        loaded, found = with_forest(loaded, forest, progress_bar)
+        o.fill_irradiance(loaded, settings)
+    effort = SweepEffort(repeats, warm_up, reference_spp)
+    if mine is not None and shared is not None:
+        with progress_bar(f"sweep over {over}, {mine}") as bar:
+            stored = sweep_part(loaded, found, over, base, effort, (shared, mine), bar)
+        said_part(stored)
+        return
 
     def write(content: dict[str, Any]) -> None:
         o.write_json(json_file, content)
@@ -89,18 +116,19 @@ def sweep(
             o.write_json(report / f"sweep-{over}.json", content)
 
     with progress_bar(f"sweep over {over}") as bar:
-        content = run(loaded, found, over, base, SweepEffort(repeats, warm_up, reference_spp), write, bar)
-    _print(content, settings)
+        content = run(loaded, found, over, base, effort, write, bar)
+    print_sweep(content, settings.fovea.value)
     if report is not None:
         write_report(report)
         print(report / "index.html")
 
 
-def _print(content: dict[str, Any], settings: FrameSettings) -> None:
+def print_sweep(content: dict[str, Any], fovea: str) -> None:
+    """Prints a sweep as a table, with the mode of its fovea unless it varies."""
     from hybrid.evaluation.sweep_catalogue import sentence, table
 
     rows = content["rows"]
-    made = "" if "fovea" in rows[0] else f", {settings.fovea.value} fovea"
+    made = "" if "fovea" in rows[0] else f", {fovea} fovea"
     print(f"{content['scene']}: {content['title']}{made}")
     columns = table(rows, dict.fromkeys(("ssim", "flip", "jod"), ".4g"))
     widths = [max(map(len, [name, *cells])) + 2 for name, cells in columns.items()]

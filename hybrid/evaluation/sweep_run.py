@@ -6,13 +6,16 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import Journal, machine, measured_identity, short_hash
+from hybrid.base.parts import Part, StoredPart, begin, parts_in
 from hybrid.base.progress import Steps
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
 from hybrid.evaluation.methods import FullTrace, HybridMethod, Method
@@ -41,6 +44,8 @@ _VIEWS, _JUDGED = 4, 3
 _REGIONS = ("whole", "foveal", "peripheral")
 # Metrics in which target qualities may be given; the first one that was measured is used.
 _TARGET_METRICS = ("jod", "ssim")
+# The kind of parts of a sweep, the file of a part's rows, and what is there beside them.
+SWEEP_PARTS, _ROWS, _HEAD = "sweep", "rows.json", "head"
 # Milliseconds per pass, frame by frame.
 Frames = list[dict[str, float]]
 
@@ -64,38 +69,109 @@ def sweep(
     sweep over the radius), the settings that all rows have in common, and machine. UserError if there is no
     such sweep, or if a region whose quality is measured is empty.
     """
-    chosen = sweep_named(over, forest.counts)
-    views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)
-    settings = chosen.settings(base, views)
-    if not chosen.over_views:
-        settings = [setting.from_views(views[:_JUDGED]) for setting in settings]
+    chosen, settings = _settings(scene, forest, over, base)
     identity = identity_of(scene, forest, chosen, settings, effort)
     folder = scene_folder(scene.name, scene.hash)
     journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
     rows = swept(scene, forest, settings, chosen.with_quality, effort, journal, progress)
     if over == "trade":
-        # Target times and target qualities choose from these settings.
-        metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
-        measured = []
-        for setting, row in zip(settings, rows, strict=True):
-            quality, between = (row[of][f"whole {metric}"] for of in ("quality", "quality_range"))
-            measured.append(MeasuredSettings(setting.frame, row["ms"]["p50"], quality, tuple(between)))
-        camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
-        MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
-    content = {
+        _store_trade(scene, forest, settings, rows)
+    empty = {**_head(scene, forest, over, base, effort, settings), "machine": machine()}
+    content = with_rows(empty, rows)
+    write(content)
+    journal.remove()
+    return content
+
+
+def sweep_part(
+    scene: Scene,
+    forest: Forest,
+    over: str,
+    base: Setting,
+    effort: SweepEffort,
+    place: tuple[Path, Part],
+    progress: Steps,
+) -> StoredPart:
+    """Measures the rows of one part of a sweep, for `merged_sweep`: whole groups of one view and size.
+
+    The place is the folder that all parts share, and the part. Progress and errors are those of `sweep`, and
+    those of `begin`.
+    """
+    chosen, settings = _settings(scene, forest, over, base)
+    stored = begin(place[0], SWEEP_PARTS, place[1], identity_of(scene, forest, chosen, settings, effort))
+    journal = Journal(stored.folder / _ROWS, stored.identity)
+    journal.once(_HEAD, lambda: _head(scene, forest, over, base, effort, settings))
+    takes = stored.part.takes
+    rows = swept(scene, forest, settings, chosen.with_quality, effort, journal, progress, takes)
+    # All of its rows are of one group.
+    if over == "trade" and rows:
+        _store_trade(scene, forest, settings, rows)
+    stored.finish()
+    return stored
+
+
+def merged_sweep(shared: Path) -> dict[str, Any]:
+    """What `sweep` returns, of the parts in a folder; of several machines, it says all that they have.
+
+    UserError as `parts_in` raises it, or if rows of a complete part are gone.
+    """
+    parts, head = parts_in(shared), {}
+    by_group: dict[int, list[dict[str, Any]]] = {}
+    for one in parts:
+        results = dict(Journal(one.folder / _ROWS, one.identity))
+        if not (head := results.pop(_HEAD, {})):
+            raise UserError(f"{one.folder / _ROWS}: is missing; remove {one.folder.name} and run it again")
+        by_group |= {int(number): rows for number, rows in results.items()}
+    own = {}
+    for name, first in parts[0].machine.items():
+        values = {str(one.machine.get(name)) for one in parts}
+        own[name] = first if len(values) == 1 else ", ".join(sorted(values))
+    content = {**head, "machine": {**own, **parts[0].identity["machine"]}}
+    return with_rows(content, [row for number in sorted(by_group) for row in by_group[number]])
+
+
+def with_rows(content: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The content of a sweep's JSON with its rows, and what follows from them."""
+    found = break_even(rows) if content["over"] == "radius" else []
+    return {**content, "rows": rows, "break_even": found}
+
+
+def _settings(scene: Scene, forest: Forest, over: str, base: Setting) -> tuple[Sweep, list[Setting]]:
+    """The sweep of a name, and its rows with their views."""
+    chosen = sweep_named(over, forest.counts)
+    views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)
+    settings = chosen.settings(base, views)
+    if not chosen.over_views:
+        settings = [setting.from_views(views[:_JUDGED]) for setting in settings]
+    return chosen, settings
+
+
+def _store_trade(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dict[str, Any]]) -> None:
+    """Stores what target times and target qualities choose from."""
+    metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
+    measured = []
+    for setting, row in zip(settings, rows, strict=True):
+        quality, between = (row[of][f"whole {metric}"] for of in ("quality", "quality_range"))
+        measured.append(MeasuredSettings(setting.frame, row["ms"]["p50"], quality, tuple(between)))
+    camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
+    MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
+
+
+def _head(
+    scene: Scene, forest: Forest, over: str, base: Setting, effort: SweepEffort, settings: list[Setting]
+) -> dict[str, Any]:
+    """The content of a sweep's JSON, but its rows and the machine."""
+    chosen = sweep_named(over, forest.counts)
+    return {
         "scene": scene.name,
         "forest": forest.digest(),
         "over": over,
         "title": chosen.title,
         "views": len(settings[0].seen),
-        "rows": rows,
-        "break_even": break_even(rows) if over == "radius" else [],
+        "rows": [],
+        "break_even": [],
         **settings_of_row(chosen, base, effort),
-        "machine": machine(),
     }
-    write(content)
-    journal.remove()
-    return content
 
 
 def swept(
@@ -106,27 +182,30 @@ def swept(
     effort: SweepEffort,
     journal: Journal,
     progress: Steps,
+    takes: Callable[[int], bool] = lambda number: True,
 ) -> list[dict[str, Any]]:
     """One row per setting: the varied quantities, `ms` of hybrid and `full_ms` of full frames, their `ratio`.
 
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
-    denoised where the fovea is. Their gazes follow the same path, on which the largest of their discs stays
-    in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Frames go through the
-    views of a row in turn, each with a camera of its own, so that frames reuse nothing. `ms_range`,
-    `ratio_range` and `quality_range` are those of the views' medians and values. `ratio_1spp` is the ratio to
-    the full frame at one sample per pixel. Quality is measured with the gaze at the centre. UserError, before
-    anything is measured, if a region whose quality is measured is empty.
+    denoised where the fovea is; `takes` says which of these groups are measured, by number. Their gazes
+    follow the same path, on which the largest of their discs stays in the frame; `covered` is the mean
+    fraction of the frame that a row's disc covers. Frames go through the views of a row in turn, each with a
+    camera of its own, so that frames reuse nothing. `ms_range`, `ratio_range` and `quality_range` are those
+    of the views' medians and values. `ratio_1spp` is the ratio to the full frame at one sample per pixel.
+    Quality is measured with the gaze at the centre. UserError, before anything is measured, if a region whose
+    quality is measured is empty.
     """
     if with_quality:
         for setting in settings:
             regions_of(setting)
     renderer = Renderer(scene, forest)
     rows: list[dict[str, Any]] = []
-    for number, (_, group) in enumerate(groupby(settings, key=lambda one: [view.key for view in one.seen])):
-        same = list(group)
+    by_view = groupby(settings, key=lambda one: [view.key for view in one.seen])
+    groups = {number: list(group) for number, (_, group) in enumerate(by_view) if takes(number)}
+    for number, same in groups.items():
 
         def advance(done: int, total: int, before: int = len(rows), count: int = len(same)) -> None:
-            progress(1000 * before + 1000 * count * done // total, 1000 * len(settings))
+            progress(1000 * before + 1000 * count * done // total, 1000 * sum(map(len, groups.values())))
 
         rows += journal.once(str(number), partial(_group, renderer, same, with_quality, effort, advance))
         advance(1, 1)

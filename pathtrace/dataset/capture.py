@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
 from pathtrace.trace.tracer import Tracer
 
+_DESCRIPTION = "transforms.json"
 # Keeps the seeds of different captures apart: far more than one capture has frames.
 _CAPTURE_SEED_STEP = 100_003
 # Samples per pixel of the estimates stored with some held-out views: what a fovea may be traced with.
@@ -110,7 +112,7 @@ def described_set(scene: Scene, settings: dict[str, Any], integrator: str) -> di
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
     """Writes transforms.json and makes the folder of the frames; keeps an equal file, refuses others."""
-    path = folder / "transforms.json"
+    path = folder / _DESCRIPTION
     text = json.dumps(document, indent=1)
     if not path.is_file():
         write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
@@ -185,6 +187,13 @@ def capture(
         >>> len(frames.training), len(frames.held_out)
         (40, 4)
     """
+    integrator = Integrator.PATH if cache is None else Integrator.CACHED
+    render_share(scene, folder, chosen_capture(scene, settings, integrator), progress, cache)
+    return read_frame_set(folder)
+
+
+def chosen_capture(scene: Scene, settings: CaptureSettings, integrator: Integrator) -> dict[str, Any]:
+    """As `describe_capture`, of views chosen as `capture` does; raises as it does."""
     count = settings.views + settings.held_out
     # The free space is that of the beginning, whatever the scene has shown last.
     scene.show(0.0)
@@ -193,8 +202,21 @@ def capture(
         views = monocular_views(scene, surfaces, count, *size)
     else:
         views = choose_views(scene, surfaces, count, *size, settings.seed)
-    integrator = Integrator.PATH if cache is None else Integrator.CACHED
-    document = describe_capture(scene, views, settings, integrator)
+    return describe_capture(scene, views, settings, integrator)
+
+
+def render_share(
+    scene: Scene,
+    folder: Path,
+    document: dict[str, Any],
+    progress: Callable[[int, int], None],
+    cache: IrradianceCache | None = None,
+    takes: Callable[[int], bool] = lambda number: True,
+) -> None:
+    """Renders the frames of a described capture that `takes` wants, by their number from the most costly.
+
+    They are the same, whatever else is rendered. Progress counts their samples; raises as `capture` does.
+    """
     write_description(folder, document)
     unbiased, quick = Tracer(scene), Tracer(scene, cache=cache)
     entries = document["frames"] + document["close_ups"]
@@ -203,9 +225,14 @@ def capture(
         (entry["samples"] + sum(e["samples"] for e in entry["estimates"])) * camera.width * camera.height
         for entry, camera in zip(entries, cameras, strict=True)
     ]
-    for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
+    # Held-out frames cost most and come at regular intervals: by index, one share might get them all.
+    by_cost = sorted(range(len(entries)), key=lambda index: -samples[index])
+    share = sorted(index for number, index in enumerate(by_cost) if takes(number))
+    done, total = 0, sum(samples[index] for index in share)
+    for index in share:
+        entry, camera = entries[index], cameras[index]
         # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
-        seed = settings.seed * _CAPTURE_SEED_STEP + index
+        seed = document["settings"]["seed"] * _CAPTURE_SEED_STEP + index
         measures = entry["held_out"] and index < len(document["frames"])
         scene.show(entry["time"])
         files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
@@ -214,7 +241,38 @@ def capture(
         for file, estimate in zip(lacking.values(), estimates, strict=True):
             write_frame(file, estimate)
         _write_frame(unbiased if measures else quick, folder, entry, camera, seed)
-        progress(sum(samples[: index + 1]), sum(samples))
+        done += samples[index]
+        progress(done, total)
+
+
+def join_shares(folder: Path, shares: Sequence[Path]) -> FrameSet:
+    """Makes a frame set of the folders of all shares of one capture, whose files move into it.
+
+    If interrupted, it goes on. UserError, before anything is moved, if the shares are of different captures,
+    or a file is missing.
+    """
+    text = (shares[0] / _DESCRIPTION).read_text(encoding="utf-8")
+    for share in shares:
+        if (share / _DESCRIPTION).read_text(encoding="utf-8") != text:
+            raise UserError(f"{share}: holds another capture than {shares[0]}")
+    document = json.loads(text)
+    names = [
+        name
+        for entry in document["frames"] + document["close_ups"]
+        for name in (entry["file_path"], *(e["file_path"] for e in entry["estimates"]), *entry["halves"])
+    ]
+    places = {name: place for place in (*shares, folder) for name in names if (place / name).is_file()}
+    if missing := [name for name in names if name not in places]:
+        raise UserError(
+            f"{folder}: {len(missing)} of {len(names)} files are in no part ({missing[0]} first); "
+            "run the parts again"
+        )
+    (folder / "frames").mkdir(exist_ok=True)
+    for name, place in places.items():
+        if place != folder:
+            os.replace(place / name, folder / name)
+    # Last: a folder without it is no frame set.
+    write_description(folder, document)
     return read_frame_set(folder)
 
 

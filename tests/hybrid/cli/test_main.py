@@ -20,6 +20,7 @@ from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_file, import_file
 from hybrid.cli.main import app, main
+from hybrid.cli.many_machines import merge
 from hybrid.cli.prepare import plan, prepare, quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
@@ -45,6 +46,7 @@ COMMANDS = {
     "serve": serve,
     "evaluate": evaluate,
     "sweep": sweep,
+    "merge": merge,
     "export": export_file,
     "import": import_file,
 }
