@@ -7,13 +7,13 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import json_text, locked, read_json, write_text
+from compose.base.files import json_text, read_json, write_text
 
 # More than any cluster has machines for.
 _MOST_PARTS = 10_000
@@ -113,11 +113,20 @@ def first_come(shared: Path) -> Iterator[Path]:
 
 @contextmanager
 def _locked(shared: Path) -> Iterator[None]:
+    """Keeps parts on all machines out, where the file system can; UserError if it cannot be written."""
+    lock = shared / _SHARED / "lock"
     try:
-        shared.mkdir(parents=True, exist_ok=True)
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        # NFS locks no folders, and files only if they are open for writing.
+        opened = lock.open("a")
     except OSError as error:
         raise UserError(f"{shared}: cannot be written ({one_line(error)})") from error
-    with locked(shared):
+    with opened:
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            # A process that dies gives the lock back.
+            fcntl.flock(opened, fcntl.LOCK_EX)
         yield
 
 

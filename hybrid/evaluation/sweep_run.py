@@ -44,8 +44,8 @@ _VIEWS, _JUDGED = 4, 3
 _REGIONS = ("whole", "foveal", "peripheral")
 # Metrics in which target qualities may be given; the first one that was measured is used.
 _TARGET_METRICS = ("jod", "ssim")
-# The kind of parts of a sweep, the file of a part's rows, and what is there beside them.
-SWEEP_PARTS, _ROWS, _HEAD = "sweep", "rows.json", "head"
+# The file of a part's rows, and what is there beside them.
+_ROWS, _HEAD = "rows.json", "head"
 # Milliseconds per pass, frame by frame.
 Frames = list[dict[str, float]]
 
@@ -98,7 +98,7 @@ def sweep_part(
     those of `begin`.
     """
     chosen, settings = _settings(scene, forest, over, base)
-    stored = begin(place[0], SWEEP_PARTS, place[1], identity_of(scene, forest, chosen, settings, effort))
+    stored = begin(place[0], "sweep", place[1], identity_of(scene, forest, chosen, settings, effort))
     journal = Journal(stored.folder / _ROWS, stored.identity)
     journal.once(_HEAD, lambda: _head(scene, forest, over, base, effort, settings))
     takes = stored.part.takes

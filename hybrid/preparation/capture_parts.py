@@ -9,7 +9,7 @@ from pathlib import Path
 
 from compose.base.errors import UserError
 from compose.base.files import read_json
-from hybrid.base.cache_folder import keep_receipt
+from hybrid.base.cache_folder import has_receipt, keep_receipt
 from hybrid.base.identity import Journal, code, machine, short_hash
 from hybrid.base.parts import Part, StoredPart, begin, first_come, parts_in, remove_parts, stored_parts
 from hybrid.base.progress import Bars
@@ -21,7 +21,7 @@ from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_se
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
 
-CAPTURE, _DESCRIPTION = "capture", "transforms.json"
+_DESCRIPTION = "transforms.json"
 
 
 def capture_part(
@@ -44,7 +44,7 @@ def capture_part(
         raise UserError(f"{shared}: holds a whole capture already; name another folder")
     asked = {"settings": {**asdict(settings), "spp": spp}, "integrator": integrator.value}
     identity = {"scene": scene.hash, **asked, "override": dict(override)}
-    stored = begin(shared, CAPTURE, part, {**identity, "code": code(), "machine": machine()})
+    stored = begin(shared, "capture", part, {**identity, "code": code(), "machine": machine()})
     with first_come(shared) as common:
         journal = Journal(common / "capture.json", stored.identity)
         plan = journal.once("plan", lambda: dict(as_planned(scene, bars, override).plan))
@@ -67,9 +67,12 @@ def merge_capture(shared: Path) -> FrameSet:
     If interrupted, it goes on. UserError, before anything is moved, as `parts_in` raises it.
     """
     if (shared / _DESCRIPTION).is_file():
-        # Joined before, but interrupted while parts were removed.
+        # Joined before; perhaps interrupted while parts were removed.
         parts, frames = stored_parts(shared), read_frame_set(shared)
-        if {one.identity.get("views") for one in parts} != {short_hash(read_json(shared / _DESCRIPTION))}:
+        if not parts and not has_receipt(frames):
+            raise UserError(f"{shared}: a frame set without parts, and not captured here")
+        views = short_hash(read_json(shared / _DESCRIPTION))
+        if any(one.identity.get("views") != views for one in parts):
             raise UserError(f"{shared}: holds another capture than its parts; name another folder for them")
     else:
         parts = parts_in(shared)

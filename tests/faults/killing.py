@@ -47,11 +47,13 @@ class Job:
         arguments: of the command in a folder, given the folder of the commands before it.
         result: what must be the same, of the folder.
         longest: seconds up to which it is killed.
+        begin: makes what the command finds in its folder, given that of the commands before it.
     """
 
     arguments: Callable[[Path, Path], list[str]]
     result: Callable[[Path], Any]
     longest: float
+    begin: Callable[[Path, Path], object] = lambda at, made: None
 
 
 @dataclass
@@ -96,6 +98,19 @@ JOBS = {
         _evaluated,
         25.0,
     ),
+    "part": Job(
+        lambda at, _: [
+            *("capture", "cornell", f"{at}/frames", *CAPTURE, "--integrator", "path", "--part", "1/1")
+        ],
+        hashes,
+        2.0,
+    ),
+    "merge": Job(
+        lambda at, _: ["merge", f"{at}/frames"],
+        hashes,
+        1.0,
+        lambda at, made: shutil.copytree(made / "part", at),
+    ),
     "sweep": Job(
         lambda at, made: [
             *("sweep", "cornell", "--forest", f"{made}/train/f.forest", "--json", f"{at}/s.json"),
@@ -113,7 +128,7 @@ def _import(names: list[str]) -> None:
     import hybrid.render.irradiance
     import pathtrace.dataset.capture  # noqa: F401
 
-    if set(names) - {"capture", "traced"}:
+    if set(names) - {"capture", "traced", "part", "merge"}:
         import hybrid.evaluation.evaluation
         import hybrid.evaluation.evaluation_page
         import hybrid.evaluation.quickstart
@@ -198,11 +213,13 @@ def killed(name: str, folder: Path, kills: int, seed: int) -> Summary:
     home, log = folder / f"home-{name}", folder / f"{name}.log"
     peaceful = folder / name
     arguments = job.arguments(peaceful, folder)
+    job.begin(peaceful, folder)
     if _forked(arguments, home, None, None, log):
         summary.failures.append(f"in peace: {log.read_text()[-300:]}")
         return summary
     expected = job.result(peaceful)
     number, at = 0, folder / f"{name}-killed"
+    job.begin(at, folder)
     while summary.kills < kills and not summary.failures:
         by_step = number % 2 == 0
         step = int(rng.integers(1, 25)) if by_step else None
@@ -216,6 +233,7 @@ def killed(name: str, folder: Path, kills: int, seed: int) -> Summary:
             summary.at_writes += by_step
         else:
             _finish(job, at, code, expected, summary, log)
+            job.begin(at, folder)
     if not summary.failures:
         summary.runs += 1
         code = _forked(job.arguments(at, folder), home, None, None, log)

@@ -45,6 +45,18 @@ def test_a_killed_capture_resumes(tmp_path, got):
     got(f"{found['kills']} kills, {found['completed']} captures of the same bytes")
 
 
+@extreme(
+    "4 kills of a capture in parts",
+    given="SIGKILL, two each of a part and of its merge, at random moments and between the steps of a write",
+    expected="the same bytes as in peace, no unreadable file, nothing left behind",
+)
+def test_a_killed_part_resumes_and_so_does_its_merge(tmp_path, got):
+    found = killing(tmp_path, 2, 1, "part", "merge")
+    assert not [failure for one in found.values() for failure in one["failures"]]
+    assert sum(one["kills"] for one in found.values()) == 4
+    got(f"4 kills, {sum(one['completed'] for one in found.values())} ends with the same bytes")
+
+
 @pytest.mark.long
 @extreme(
     "100 kills",

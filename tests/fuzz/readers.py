@@ -20,6 +20,7 @@ from compose.eye.display import display_named
 from compose.eye.gaze import load_gaze_trace
 from compose.image.exr import write_channels
 from hybrid.base.identity import Journal
+from hybrid.base.parts import Part, begin, stored_part
 from hybrid.render.image_files import read_exr
 from hybrid.study.design import load_design
 from hybrid.study.observations import load_choices, load_ratings
@@ -117,6 +118,11 @@ def _deep_image(path: Path) -> None:
     file.write_text(file.read_text().replace("./train/r_000", path.name))
     values = small.rng().integers(0, 1 << 16, (posed.HEIGHT, posed.WIDTH, 3)).astype(np.uint16)
     mi.Bitmap(values).write(str(path))
+
+
+def _part(path: Path) -> None:
+    identity = {**IDENTITY, "code": {"source": "1a"}, "machine": {"cpu": "c", "cores": 2, "gpu": None}}
+    shutil.copy(begin(path.parent / "parts", "sweep", Part(1, 2), identity).folder / path.name, path)
 
 
 def _journal(path: Path) -> None:
@@ -229,6 +235,7 @@ READERS = {
     ),
     "answers of an observer": Reader("observer-001.csv", _answers, _resume),
     "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
+    "part of a job": Reader("part.json", _part, stored_part),
     "glTF": Reader("a.gltf", _gltf, _import),
     "GLB": Reader("a.glb", _gltf, _import),
     "GLB of Gaussians": Reader("g.glb", lambda p: save_glb(p, gaussians("overlap", n=5, degree=1)), _splats),
