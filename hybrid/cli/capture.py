@@ -60,7 +60,7 @@ def capture(
     backend: o.Backend = "auto",
     part: o.PartName = None,
     ray: o.RayAddress = None,
-) -> o.Measured | None:
+) -> o.Measured:
     """Render training frames; resumes if interrupted."""
     if ray is not None:
         return on_ray(ray, part, frames)
@@ -86,7 +86,7 @@ def capture(
         loaded = load_scene(scene, max_depth, thin_glass, sensor=sensor)
         stored = capture_part(loaded, frames, mine, settings, spp, traced, asked, progress_bar)
         said_part(stored)
-        return None
+        return {"scene": loaded.name, "part": part, "seconds": time.perf_counter() - start}
     loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)
     settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
     cache = cache_for(loaded, progress_bar) if traced is Integrator.CACHED else None

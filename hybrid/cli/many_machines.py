@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -82,7 +82,7 @@ def _merged_sweep(folder: Path) -> o.Measured:
 _MERGES: dict[str, Callable[[Path], o.Measured]] = {"capture": _merged_capture, "sweep": _merged_sweep}
 
 
-def on_ray(address: str, part: str | None, folder: Path | None) -> o.Measured:
+def on_ray(address: str, part: str | None, folder: Path | None, is_timed: bool = False) -> o.Measured:
     """Does all parts of this command, as it was given, as tasks of Ray, and merges them.
 
     A part whose worker dies is begun again, and resumes from what is in the folder.
@@ -91,6 +91,7 @@ def on_ray(address: str, part: str | None, folder: Path | None) -> o.Measured:
         address: of the cluster; "local" starts Ray here.
         part: "all/N".
         folder: that all parts share; workers see it under the same absolute name.
+        is_timed: whether parts measure times, so that each has a machine to itself.
 
     Raises:
         UserError: Ray is missing or does not answer, a part is refused or its workers die again and again,
@@ -101,9 +102,9 @@ def on_ray(address: str, part: str | None, folder: Path | None) -> o.Measured:
     errors = ray.exceptions
     lost = (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError)
     try:
-        # A card belongs to one task at a time; the machines take turns; no two parts share a process.
-        share = {"num_gpus": 1 if ray.cluster_resources().get("GPU") else 0, "scheduling_strategy": "SPREAD"}
-        work = ray.remote(max_retries=_RETRIES, max_calls=1, **share)(run_part)
+        # The machines take turns, and no two parts share a process.
+        options = {"max_retries": _RETRIES, "max_calls": 1, "scheduling_strategy": "SPREAD"}
+        work = ray.remote(**options, **_claim(ray.nodes(), is_timed))(run_part)
         tasks = {
             work.options(name=f"hybrid {one}").remote(arguments_of(one, sys.argv[1:]), os.getcwd()): one
             for one in parts
@@ -123,6 +124,14 @@ def on_ray(address: str, part: str | None, folder: Path | None) -> o.Measured:
     finally:
         ray.shutdown()
     return merge(folder or Path())
+
+
+def _claim(nodes: list[dict[str, Any]], is_timed: bool) -> dict[str, float]:
+    """What a part claims of a machine of a cluster: a card, else, if it measures times, all cores."""
+    has = [node["Resources"] for node in nodes if node["Alive"]]
+    if any("GPU" in one for one in has):
+        return {"num_gpus": 1}
+    return {"num_cpus": min(one["CPU"] for one in has if "CPU" in one) if is_timed else 1}
 
 
 def _all_parts(text: str | None) -> list[Part]:

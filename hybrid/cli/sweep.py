@@ -78,7 +78,7 @@ def sweep(
     if report is not None and part is not None:
         raise UserError("--report: has no influence on parts; leave it out")
     if ray is not None:
-        o.write_json(json_file, on_ray(ray, part, shared))
+        o.write_json(json_file, on_ray(ray, part, shared, is_timed=True))
         return
     mine = chosen_part(part)
     if mine is not None and json_file is not None:

@@ -21,7 +21,7 @@ import pytest
 from hybrid.base.cache_folder import has_receipt, home
 from hybrid.base.identity import code
 from hybrid.base.parts import Part
-from hybrid.cli.many_machines import arguments_of
+from hybrid.cli.many_machines import _claim, arguments_of
 from hybrid.preparation import capture_parts
 from pathtrace.dataset.frame_set import read_frame_set
 from tests.extremes import extreme
@@ -207,14 +207,16 @@ def test_each_part_gets_the_arguments_of_the_command(given):
     assert arguments_of(Part(3, 8), command) == expected
 
 
-class Crash(Exception):
+class CrashError(Exception):
     """What Ray raises when a worker died more often than its task may be begun again."""
 
 
 class StandIn:
     """Begins tasks as Ray does, one after the other in this process; `deaths` of their workers come first."""
 
-    exceptions = SimpleNamespace(WorkerCrashedError=Crash, NodeDiedError=Crash, OutOfMemoryError=Crash)
+    exceptions = SimpleNamespace(
+        WorkerCrashedError=CrashError, NodeDiedError=CrashError, OutOfMemoryError=CrashError
+    )
 
     def __init__(self, deaths: int = 0):
         self.deaths, self.ended = deaths, False
@@ -226,8 +228,8 @@ class StandIn:
     def shutdown(self) -> None:
         self.ended = True
 
-    def cluster_resources(self) -> dict[str, float]:
-        return {"CPU": 2.0}
+    def nodes(self) -> list[dict]:
+        return [{"Alive": True, "Resources": {"CPU": 2.0}}]
 
     def remote(self, max_retries: int, **options: object):
         def task(function):
@@ -242,9 +244,9 @@ class StandIn:
         for _ in range(retries + 1):
             try:
                 return function(*arguments)
-            except Crash:
+            except CrashError:
                 continue
-        raise Crash("the worker died")
+        raise CrashError("the worker died")
 
     def wait(self, waiting: list):
         return waiting[:1], waiting[1:]
@@ -270,7 +272,7 @@ def on_stand_in(monkeypatch, tmp_path):
 
                 def progress(done, total):
                     if next(number) == 2:
-                        raise Crash
+                        raise CrashError
 
             share(scene, folder, document, progress, *rest)
 
@@ -307,6 +309,19 @@ def test_a_part_that_is_refused_ends_in_its_line(on_stand_in, capsys):
 def test_a_cluster_that_does_not_answer_is_named(on_stand_in, capsys):
     assert on_stand_in(0, address="10.0.0.1:6379")[0] == 2
     assert "--ray 10.0.0.1:6379: no cluster answers (nobody there)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("machines", "is_timed", "expected"),
+    [
+        ([{"CPU": 8.0}, {"CPU": 4.0}, {"memory": 1.0}], True, {"num_cpus": 4.0}),
+        ([{"CPU": 8.0}, {"CPU": 4.0}], False, {"num_cpus": 1}),
+        ([{"CPU": 8.0}, {"CPU": 4.0, "GPU": 2.0}], True, {"num_gpus": 1}),
+    ],
+)
+def test_parts_that_measure_times_share_no_machine(machines, is_timed, expected):
+    gone = {"Alive": False, "Resources": {"CPU": 1.0}}
+    assert _claim([gone, *({"Alive": True, "Resources": one} for one in machines)], is_timed) == expected
 
 
 def workers_of(cache: Path) -> list[int]:
