@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.dataset.capture import capture
+from pathtrace.dataset.capture import capture, chosen_capture, join_shares, render_share
 from pathtrace.dataset.captured_frames import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.trace import Integrator
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from tests import small
@@ -227,3 +228,35 @@ def test_views_of_a_scene_that_moves_show_their_own_times(tmp_path):
     # A part of a view shows what the view shows.
     times = {entry.camera.camera_to_world.tobytes(): entry.time for entry in frames.held_out}
     assert all(times[entry.camera.camera_to_world.tobytes()] == entry.time for entry in frames.close_ups)
+
+
+def test_costly_frames_are_dealt_out_evenly(scene, tmp_path):
+    """Held-out views come at regular intervals: every second one would be in one of two shares."""
+    settings = CaptureSettings(views=5, held_out=4, width=24, height=16, spp=2, held_out_spp=64, close_ups=())
+    document, totals = chosen_capture(scene, settings, Integrator.PATH), []
+
+    def note(done: int, total: int) -> None:
+        totals.append(total)
+        raise InterruptError
+
+    for share in (0, 1):
+        with pytest.raises(InterruptError):
+            render_share(
+                scene,
+                tmp_path / str(share),
+                document,
+                note,
+                takes=lambda number, share=share: number % 2 == share,
+            )
+    assert max(totals) < 1.2 * min(totals)
+
+
+def test_shares_of_different_captures_are_not_joined(scene, tmp_path):
+    shares = [tmp_path / "a", tmp_path / "b"]
+    for seed, share in enumerate(shares):
+        settings = CaptureSettings(**{**SETTINGS.__dict__, "seed": seed})
+        document = chosen_capture(scene, settings, Integrator.PATH)
+        render_share(scene, share, document, lambda done, total: None, takes=lambda number: False)
+    with pytest.raises(UserError, match=r"b: holds another capture than .*a$"):
+        join_shares(tmp_path / "whole", shares)
+    assert not (tmp_path / "whole").exists()
