@@ -19,7 +19,7 @@ def ablations(renderer: Renderer, settings: FrameSettings) -> dict[str, Family]:
 
     What the settings or the forest lack is left out, except paths where they are needed: frames that trace in
     the disc get them. Frames have the whole number of samples per pixel whose rays, in the camera of the
-    settings, come nearest to those asked for. Still frames follow no others: there is no history to leave out.
+    settings, come nearest to those asked for. Frames that follow no others have no history to leave out.
     """
     used, (low, high) = settings.used_integrator, renderer.periphery.layers_of(settings)
     changed: dict[str, FrameSettings] = {}

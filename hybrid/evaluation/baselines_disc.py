@@ -18,11 +18,11 @@ from hybrid.evaluation.baselines_traced import (
     Enlarged,
     PathTraced,
     auxiliary_count,
-    bicubic,
     enlarged,
+    enlargement,
     grid_positions,
     grid_size,
-    shrunk,
+    pooled,
     spp_and_share,
 )
 from pathtrace.trace.film import fractional_counts
@@ -80,7 +80,7 @@ class DiscOverEnlarged(PathTraced):
         image = traced.denoised()
         clock.lap("denoise disc")
         weight = region.weight_image()[region.box][..., None]
-        frame[region.box] += weight * (bicubic(image, *shape_of(region.box)) - frame[region.box])
+        frame[region.box] += weight * (enlargement(image, *shape_of(region.box)) - frame[region.box])
         clock.lap("blend")
         return frame
 
@@ -94,4 +94,4 @@ class DiscOverEnlarged(PathTraced):
         counts = fractional_counts(spp, inside.size, seed) * inside.ravel()
         radiance = radiance_image(self.tracer, camera, positions, columns, counts, seed)
         auxiliary = auxiliary_images(self.tracer, camera, positions, columns, auxiliary_count(spp), seed)
-        return TracedImage(np.where(inside[..., None], radiance, shrunk(around, rows, columns)), *auxiliary)
+        return TracedImage(np.where(inside[..., None], radiance, pooled(around, (rows, columns))), *auxiliary)

@@ -100,7 +100,7 @@ class Enlarged(PathTraced):
     def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         positions, columns = self.texels(camera)
         small = self.traced(camera, positions, columns, seed, clock)
-        image = bicubic(small, camera.height, camera.width)
+        image = enlargement(small, camera.height, camera.width)
         clock.lap("enlarge")
         return image
 
@@ -150,15 +150,21 @@ def grid_positions(
     return box_positions(left, top, *(np.full(left.shape, side) for side in size))
 
 
-def bicubic(image: Image, height: int, width: int) -> Image:
-    """(height, width, C) image of a smaller one (h, w, C), 0 or more."""
-    planes = torch.from_numpy(image).permute(2, 0, 1)[None]  # (1, C, h, w)
+def enlargement(image: Image, height: int, width: int, mode: str = "bicubic") -> Image:
+    """(height, width, C) image of a smaller one (h, w, C), 0 or more; the mode may also be "bilinear"."""
     # Bicubic weights overshoot at edges, below 0 as well.
-    large = functional.interpolate(planes, size=(height, width), mode="bicubic").clamp(min=0)
-    return np.ascontiguousarray(large[0].permute(1, 2, 0).numpy())
+    return _of_planes(functional.interpolate(_planes(image), size=(height, width), mode=mode).clamp(min=0))
 
 
-def shrunk(image: Image, rows: int, columns: int) -> Image:
-    """(rows, columns, C) means of a larger image (H, W, C)."""
-    planes = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)
-    return functional.adaptive_avg_pool2d(planes, (rows, columns)).permute(1, 2, 0).numpy()
+def pooled(image: Image, size: tuple[int, int], maxima: bool = False) -> Image:
+    """(*size, C) means of a larger image (H, W, C), or maxima."""
+    pool = functional.adaptive_max_pool2d if maxima else functional.adaptive_avg_pool2d
+    return _of_planes(pool(_planes(image), size))
+
+
+def _planes(image: Image) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)[None]
+
+
+def _of_planes(planes: torch.Tensor) -> Image:
+    return np.ascontiguousarray(planes[0].permute(1, 2, 0).numpy())

@@ -90,7 +90,7 @@ def weights(axis: Axis, is_noisy: bool) -> sparse.csr_array:
     one (1974), which is sharp, or for noisy buffers a Gaussian one. The border is repeated.
     """
     edges = axis.buffer_of(np.arange(axis.size + 1.0))
-    centres = axis.buffer_of(np.arange(axis.size) + 0.5)
+    centres = axis.buffer_of(np.arange(float(axis.size)) + 0.5)
     width = np.maximum(np.diff(edges), 1)
     first = np.floor(centres - 2 * width).astype(np.int64)  # (size,)
     taps = first[:, None] + np.arange(int(np.ceil(4 * width.max())) + 1)  # (size, K) pixels of the buffer
