@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 
 # First hits per larger pixel, as many as of the frame's.
 _FIRST_HITS = 4
-# Albedo from which on radiance is divided by it, and the least weight that a mean is divided by.
-_DARKEST, _NEXT_TO_NONE = 0.01, 1e-3
+# Albedo from which on radiance is divided by it.
+_DARKEST = 0.01
 # Of the edge-aware weights, standard deviations: in larger pixels, of albedo and of normals, and of the
-# distance from the tangent plane in sides of larger pixels; and the weight of what differs in all of them.
+# distance from the tangent plane in sides of larger pixels.
 _NEAR, _ALIKE, _PARALLEL, _LEVEL = 0.6, 0.05, 0.15, 1.0
-_OTHERWISE = 1e-3
+# Weight of what differs, where nothing else is near.
+_LEAST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,12 @@ def divided(radiance: Image, albedo: Image, coverage: NDArray[np.float32]) -> ND
     """(h, w, 8) light and its weight, radiance and its weight, (h, w, 3) each of them but for the weights.
 
     Light is radiance over albedo (h, w, 3). It counts where all that is seen has albedo, by its coverage of
-    the frame's pixels (H, W, 1); radiance where nothing has, and a little elsewhere.
+    the frame's pixels (H, W, 1); radiance where nothing has, far less where something, and least elsewhere.
     """
     size = radiance.shape[0], radiance.shape[1]
     lit = -pooled(-coverage, size, maxima=True) == 1
-    others = np.where(pooled(coverage, size, maxima=True) == 0, 1, _OTHERWISE)
+    dark = pooled(coverage, size, maxima=True) == 0
+    others = np.where(dark, 1, np.where(lit, _LEAST**2, _LEAST))
     light = radiance / np.maximum(albedo, _DARKEST)
     return np.concatenate([light * lit, lit, radiance * others, others], axis=2, dtype=np.float32)
 
@@ -82,11 +84,9 @@ def divided(radiance: Image, albedo: Image, coverage: NDArray[np.float32]) -> ND
 def multiplied(layers: NDArray[np.float32], albedo: Image, coverage: NDArray[np.float32]) -> Image:
     """(H, W, 3) radiance of what is `divided`, enlarged (H, W, 8), by the albedo (H, W, 3) of the frame."""
     light, lit, radiance, others = np.split(layers, (3, 4, 7), axis=2)
-    lights, rest = (
-        of / np.maximum(weight, _NEXT_TO_NONE) for of, weight in ((light, lit), (radiance, others))
-    )
-    both = lights * np.maximum(albedo, _DARKEST * coverage) + rest * (1 - coverage)
-    return np.where(lit > _NEXT_TO_NONE, both, rest).astype(np.float32)
+    rest = radiance / others
+    reflected = light / np.maximum(lit, _LEAST) * np.maximum(albedo, _DARKEST * coverage)
+    return np.where(lit > _LEAST, reflected + rest * (1 - coverage), rest).astype(np.float32)
 
 
 def first_hits(tracer: Tracer, camera: Camera, seed: int) -> tuple[AuxiliaryFeatures, mi.Float]:
@@ -135,7 +135,7 @@ def edge_aware(
         if by_albedo:
             apart += _squares(of(small.albedo), large.albedo) / _ALIKE**2
         near = (dr.square(i - down) + dr.square(j - across)) / _NEAR**2
-        weight = dr.exp(-0.5 * near) * (dr.exp(-0.5 * apart) + _OTHERWISE)
+        weight = dr.exp(-0.5 * near) * (dr.exp(-0.5 * apart) + _LEAST)
         total += weight
         for c in range(channels):
             sums[c] = dr.fma(weight, dr.gather(mi.Float, values, index * channels + c), sums[c])
