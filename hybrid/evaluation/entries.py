@@ -18,7 +18,7 @@ from hybrid.base.identity import Journal
 from hybrid.base.progress import Steps
 from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
-from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone, Tuning, families
+from hybrid.evaluation.methods import Family, HybridMethod, Method, SplatsAlone
 from hybrid.evaluation.results import (
     EQUAL_RAYS,
     EQUAL_TIME,
@@ -45,7 +45,6 @@ from hybrid.measure.image_metrics import ImageRegion, regions
 from hybrid.measure.reference import Reference
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.image_files import write_png
-from pathtrace.trace.tracer import Tracer
 
 # Samples per pixel of further fused frames, which show from which count on they surpass the splats.
 OTHER_SPP = (1, 2, 4, 16)
@@ -99,20 +98,18 @@ def splat_entries(splats: SplatsAlone, flat: SplatsAlone | None) -> list[Entry]:
 
 def baseline_entries(
     ours: Entry,
-    tracer: Tracer,
-    tuning: Tuning,
+    known: dict[str, Family],
     views: Sequence[View],
     gaze: Gaze,
     costs: Journal,
     progress: Steps,
 ) -> list[Entry]:
-    """Path-traced baselines with the rays of our entry in the first view, and with its time.
+    """Methods of families by name, with the rays of our entry in the first view, and with its time.
 
     One that takes more rays even at its cheapest is FIXED; one whose settings meet both budgets is included
     twice. `costs` stores the rays of equal time, so that later evaluations compare the same frames.
     """
     rays = ours.method.rays(views[0].camera, gaze)
-    known = families(tracer, tuning)
     entries = []
     for number, (name, family) in enumerate(known.items()):
         equal = family(rays)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.image.colour import Image
 from hybrid.base.progress import Steps
-from hybrid.evaluation.methods import Family, Method, Tuning, WarpTuning, enlarged, warped
+from hybrid.evaluation.baselines import Tuning, WarpTuning, disc_over, warped
+from hybrid.evaluation.baselines_traced import enlarged
+from hybrid.evaluation.methods import Family, Method
 from hybrid.evaluation.results import TOLERANCE
 from hybrid.measure.frame_times import jittered_view, path_around, ratio_interval, ratio_of_medians
 from hybrid.measure.image_metrics import has_valid, regions, ssim_map, valid_mean
@@ -28,9 +31,10 @@ _STEP, _MOST_FRAMES = 6, 60
 _STRIDE = 23
 # Rays per pixel of a baseline, and how long it takes with them, relative to the hybrid frame.
 Trial = tuple[float, float]
-# What is tried: f of RMFR's mapping, and samples per pixel.
+# What is tried: f of RMFR's mapping, samples per pixel, and shares of the rays in a disc.
 _F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 _SPP = (1, 2, 4)
+_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 
 
 def at_equal_time(
@@ -103,22 +107,35 @@ def tuned(
 ) -> Tuning:
     """The settings with the highest mean SSIM, of the whole frame and of the fovea, at a number of rays.
 
-    They are tuned on views with references (H, W, 3), linear radiance; rays are per pixel of the frame.
+    They are tuned on views with references (H, W, 3), linear radiance; rays are per pixel of the frame. The
+    disc over an enlarged frame gets the share of the rays with the highest sum of both.
     """
     # With fewer samples per pixel than `rays`, the smaller image would be larger than the frame.
     counts = [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]
     warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]
-    baselines: list[Method] = [warped(tracer, tuning, rays) for tuning in warps]
-    baselines += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
+    total = len(warps) + len(counts) + len(_SHARES)
     foveas = [regions(foveation, truth)["foveal"].mask.astype(np.float32) for truth in references]
     # All pixels count where SSIM has no value in the fovea.
     weights = [fovea if has_valid(fovea) else None for fovea in foveas]
-    whole, foveal = [], []
-    for number, baseline in enumerate(baselines):
-        images = [baseline.render(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
-        maps = [ssim_map(image, truth) for image, truth in zip(images, references, strict=True)]
-        whole.append(np.mean([valid_mean(one) for one in maps]))
-        foveal.append(np.mean([valid_mean(one, weight) for one, weight in zip(maps, weights, strict=True)]))
-        progress(number + 1, len(baselines))
-    frame, fovea = (warps[int(np.argmax(scores[: len(warps)]))] for scores in (whole, foveal))
-    return Tuning(frame, fovea, counts[int(np.argmax(whole[len(warps) :]))])
+    done = 0
+
+    def scores(baselines: Iterable[Method]) -> NDArray[np.float64]:
+        """(baselines, 2) mean SSIM of the whole frame and of the fovea."""
+        nonlocal done
+        found = []
+        for baseline in baselines:
+            images = [baseline.render(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
+            maps = [ssim_map(image, truth) for image, truth in zip(images, references, strict=True)]
+            pairs = zip(maps, weights, strict=True)
+            found.append([[valid_mean(one), valid_mean(one, weight)] for one, weight in pairs])
+            done += 1
+            progress(done, total)
+        return np.mean(found, axis=1)
+
+    frame, fovea = (
+        warps[best] for best in scores(warped(tracer, tuning, rays) for tuning in warps).argmax(axis=0)
+    )
+    smaller = scores(enlarged(tracer, spp, rays, denoised=True) for spp in counts)
+    spp = counts[int(smaller[:, 0].argmax())]
+    split = scores(disc_over(tracer, foveation, spp, share, rays) for share in _SHARES)
+    return Tuning(frame, fovea, spp, _SHARES[int(split.sum(axis=1).argmax())])

@@ -18,6 +18,8 @@ from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import device_arrays
 from hybrid.base.identity import Journal, machine, measured_identity, short_hash
 from hybrid.base.progress import Steps
+from hybrid.evaluation.ablations import ablations
+from hybrid.evaluation.baselines import Tuning, families
 from hybrid.evaluation.entries import (
     Entry,
     baseline_entries,
@@ -29,7 +31,7 @@ from hybrid.evaluation.entries import (
 )
 from hybrid.evaluation.equal_cost import tuned
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, TUNING_REDUCTION, EvaluationSettings
-from hybrid.evaluation.methods import SplatsAlone, Tuning
+from hybrid.evaluation.methods import SplatsAlone
 from hybrid.evaluation.results import OURS
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
 from hybrid.render.forest_attachments import plan_of_forest
@@ -139,7 +141,10 @@ class Evaluation:
         rays = ours.method.rays(views[0].camera, gaze)
         tuning = Tuning.restored(self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
         views, progress = views[: self.settings.views], work.of("costs")
-        baselines = baseline_entries(ours, self.baseline_tracer, tuning, views, gaze, self.costs, progress)
+        # Rays depend on the shape of frames.
+        frame = replace(self.settings.frame, camera=views[0].camera)
+        known = families(self.renderer, frame, tuning) | ablations(self.renderer, frame)
+        baselines = baseline_entries(ours, known, views, gaze, self.costs, progress)
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 
     def _tuning(self, views: list[View], rays: float, work: WorkProgress) -> Tuning:

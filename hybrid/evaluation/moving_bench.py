@@ -19,9 +19,10 @@ from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
 from hybrid.base.progress import Steps
+from hybrid.evaluation.baselines_traced import enlarged
 from hybrid.evaluation.equal_cost import at_equal_time
 from hybrid.evaluation.last_frame import LastFrameRenderer
-from hybrid.evaluation.methods import HybridMethod, enlarged
+from hybrid.evaluation.methods import HybridMethod
 from hybrid.measure.frame_times import percentiles, ratio_of_medians
 from hybrid.measure.image_metrics import ImageRegion, psnr_of_error, regions, registration_px
 from hybrid.measure.perceptual_metrics import jod_of_video

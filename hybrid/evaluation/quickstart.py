@@ -19,8 +19,8 @@ from compose.fovea.foveation import FoveaMode
 from compose.image.colour import Image
 from hybrid.base.identity import machine
 from hybrid.base.progress import Bars, Steps, no_bars
+from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.evaluation_page import rendered
-from hybrid.evaluation.methods import FullTrace
 from hybrid.evaluation.sweep_catalogue import with_range
 from hybrid.measure.frame_times import (
     covered,

@@ -14,8 +14,9 @@ from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import Journal, machine, measured_identity, short_hash
 from hybrid.base.progress import Steps
+from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
-from hybrid.evaluation.methods import FullTrace, HybridMethod, Method
+from hybrid.evaluation.methods import HybridMethod, Method
 from hybrid.evaluation.sweep_catalogue import Setting, Sweep, SweepEffort, break_even, sweep_named
 from hybrid.measure.frame_quality import Viewer, metric_rows, missing
 from hybrid.measure.frame_times import (

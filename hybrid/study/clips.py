@@ -21,7 +21,8 @@ from compose.eye.gaze import Gaze, GazeTrace
 from compose.image.colour import Image, bytes_from_radiance
 from hybrid.base.identity import measured_identity, require_same
 from hybrid.base.progress import Bar, interrupts_between_steps
-from hybrid.evaluation.methods import FullTrace, HybridMethod, Method
+from hybrid.evaluation.baselines_traced import FullTrace
+from hybrid.evaluation.methods import HybridMethod, Method
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings

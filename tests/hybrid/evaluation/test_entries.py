@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import hybrid.evaluation.entries as entries_module
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
@@ -32,47 +31,44 @@ from tests import small
 from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly, Recorder
 
 
-def made(tmp_path, monkeypatch, per_ray: float, least: float = 0.0, fixed: float = 0.0) -> list[Entry]:
+def made(tmp_path, per_ray: float, least: float = 0.0, fixed: float = 0.0) -> list[Entry]:
     """Entries of one family beside ours, which takes 200 ms for 2 rays."""
     ours = Entry(OURS, "fixed", Costly(2.0, 0.0, 100.0))
     family = lambda rays: Costly(max(least, rays), fixed, per_ray)  # noqa: E731
-    monkeypatch.setattr(entries_module, "families", lambda tracer, tuning: {"full": family})
     costs = Journal(tmp_path / "costs.json", {})
-    return baseline_entries(ours, None, None, [VIEW], Gaze(), costs, lambda done, total: None)  # type: ignore[arg-type]
+    return baseline_entries(ours, {"full": family}, [VIEW], Gaze(), costs, lambda done, total: None)
 
 
-def test_a_baseline_that_meets_both_budgets_stands_in_both_rows(tmp_path, monkeypatch):
-    found = made(tmp_path, monkeypatch, 100.0)
+def test_a_baseline_that_meets_both_budgets_stands_in_both_rows(tmp_path):
+    found = made(tmp_path, 100.0)
     assert [entry.key for entry in found] == [("full", "equal-rays"), ("full", "equal-time")]
     assert found[0].method.settings == found[1].method.settings
 
 
-def test_a_cheaper_baseline_gets_more_rays_at_equal_time(tmp_path, monkeypatch):
-    at_rays, at_time = made(tmp_path, monkeypatch, 50.0)
+def test_a_cheaper_baseline_gets_more_rays_at_equal_time(tmp_path):
+    at_rays, at_time = made(tmp_path, 50.0)
     assert at_rays.method.rays(CAMERA, Gaze()) == 2
     assert 3.8 < at_time.method.rays(CAMERA, Gaze()) < 4.2
     assert (at_rays.briefly, at_time.briefly) == (True, False)
 
 
 @pytest.mark.parametrize(("least", "budget", "briefly"), [(2.05, "equal-rays", True), (2.2, "fixed", False)])
-def test_a_baseline_that_takes_more_rays_at_its_cheapest_is_there_at_those(
-    tmp_path, monkeypatch, least, budget, briefly
-):
+def test_a_baseline_that_takes_more_rays_at_its_cheapest_is_there_at_those(tmp_path, least, budget, briefly):
     """Up to 3 % more count as equal."""
-    first, second = made(tmp_path, monkeypatch, 50.0, least)
+    first, second = made(tmp_path, 50.0, least)
     assert (first.budget, first.briefly) == (budget, briefly)
     assert first.method.rays(CAMERA, Gaze()) == least
     assert second.budget == "equal-time"
 
 
-def test_a_baseline_that_always_takes_longer_is_not_there_at_equal_time(tmp_path, monkeypatch):
-    assert [entry.budget for entry in made(tmp_path, monkeypatch, 50.0, fixed=300.0)] == ["equal-rays"]
+def test_a_baseline_that_always_takes_longer_is_not_there_at_equal_time(tmp_path):
+    assert [entry.budget for entry in made(tmp_path, 50.0, fixed=300.0)] == ["equal-rays"]
 
 
-def test_rays_of_equal_time_are_found_once(tmp_path, monkeypatch):
+def test_rays_of_equal_time_are_found_once(tmp_path):
     """The same baseline is compared ever after, even if it has become quicker since."""
-    first = made(tmp_path, monkeypatch, 50.0)[1].method.settings
-    assert made(tmp_path, monkeypatch, 25.0)[1].method.settings == first
+    first = made(tmp_path, 50.0)[1].method.settings
+    assert made(tmp_path, 25.0)[1].method.settings == first
 
 
 def test_entries_of_other_settings_have_other_titles():

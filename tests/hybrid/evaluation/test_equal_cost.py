@@ -12,8 +12,9 @@ from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from hybrid.evaluation import equal_cost as module
+from hybrid.evaluation.baselines import WarpTuning
 from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time, relative_time, tuned
-from hybrid.evaluation.methods import TimedImage, WarpTuning
+from hybrid.evaluation.methods import TimedImage
 from tests import small
 from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly
 
@@ -162,14 +163,26 @@ class NoisyImages:
 def tune(monkeypatch):
     """Tunes methods of known noise; returns the tuning and how often progress was called."""
     monkeypatch.setattr(module, "_F", (0.1, 0.4))
+    monkeypatch.setattr(module, "_SHARES", (0.2, 0.5, 0.8))
     steps = []
 
-    def run(warps: dict[tuple, NoisyImages], enlarged: dict[int, NoisyImages], rays: float = 0.3):
+    def run(
+        warps: dict[tuple, NoisyImages],
+        enlarged: dict[int, NoisyImages],
+        rays: float = 0.3,
+        discs: dict[tuple[int, float], NoisyImages] | None = None,
+    ):
         monkeypatch.setattr(
             module, "warped", lambda tracer, t, r: warps.get((t.f, t.spp, t.denoised), NoisyImages(0.3, 0.3))
         )
         monkeypatch.setattr(
             module, "enlarged", lambda tracer, spp, r, denoised: enlarged.get(spp, NoisyImages(0.3, 0.3))
+        )
+        others = discs or {}
+        monkeypatch.setattr(
+            module,
+            "disc_over",
+            lambda tracer, f, spp, share, r: others.get((spp, share), NoisyImages(0.3, 0.3)),
         )
         view = VIEW.resized(SIZE, SIZE)
         found = tuned(None, [view] * 2, [REFERENCE] * 2, FOVEATION, rays, lambda *step: steps.append(step))
@@ -195,16 +208,26 @@ def test_enlarged_frames_are_no_rivals_of_warped_ones(tune):
     assert found.enlarged_spp == 2
 
 
+def test_a_disc_gets_the_share_that_is_best_for_frame_and_fovea_together(tune):
+    """With the samples that are best for enlarged frames."""
+    even, sharp, other = NoisyImages(0.1, 0.1), NoisyImages(0.02, 0.4), NoisyImages(0, 0)
+    discs = {(4, 0.2): even, (4, 0.8): sharp, (1, 0.5): other}
+    found, _ = tune({}, {4: NoisyImages(0.1, 0.1)}, discs=discs)
+    assert (found.enlarged_spp, found.disc_share) == (4, 0.2)
+    found, _ = tune({}, {4: NoisyImages(0.1, 0.1)}, discs={**discs, (4, 0.8): NoisyImages(0.02, 0.11)})
+    assert found.disc_share == 0.8
+
+
 def test_all_settings_are_tried_on_all_views(tune):
     _, steps = tune({}, {})
-    # Two f, three sample counts, denoised or not; and three enlarged ones.
-    assert steps == [(number, 15) for number in range(1, 16)]
+    # Two f, three sample counts, denoised or not; three enlarged ones; and three shares.
+    assert steps == [(number, 18) for number in range(1, 19)]
 
 
 @pytest.mark.parametrize(("rays", "counts"), [(0.3, [1, 2, 4]), (1.5, [2, 4]), (4.0, [4]), (4.2, [5])])
 def test_fewer_samples_than_rays_are_not_tried(tune, rays, counts):
     """They would need more pixels than the frame has."""
     _, steps = tune({}, {}, rays)
-    assert len(steps) == 5 * len(counts)
+    assert len(steps) == 5 * len(counts) + 3
     found, _ = tune({(0.1, counts[-1], True): NoisyImages(0, 0)}, {}, rays)
     assert found.frame.spp == counts[-1]

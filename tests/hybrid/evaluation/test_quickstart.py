@@ -15,7 +15,7 @@ from compose.fovea.foveation import FoveaMode
 from compose.image.colour import bytes_from_radiance
 from hybrid.base.cache_folder import newest_forest
 from hybrid.evaluation import quickstart as module
-from hybrid.evaluation.methods import FullTrace
+from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.quickstart import compare, quickstart
 from hybrid.measure import image_metrics as registration
 from hybrid.preparation.scene_plan import as_planned
