@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from compose.camera.camera import View
-from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode, Placement
 from hybrid.evaluation.ablations import ablations
@@ -93,13 +92,12 @@ def test_frames_without_a_disc_have_one_sample(renderer):
     assert {family(0.5).frame_settings.spp for family in families.values()} == {1}
 
 
-def test_ablations_show_what_is_left_out(renderer):
+def test_ablations_are_rendered_without_their_part(renderer):
     view, gaze = View(renderer.scene.camera.resized(64, 48)), Gaze(0.2, 0.2)
-    # Few pixels fill the view, so that most of them are far from the gaze.
-    settings = replace(EVALUATION, display=replace(DISPLAYS["desktop"], width=64, height=48))
-    families = ablations(renderer, settings)
-    made = {name: family(0.01).render(view, gaze, 1).image for name, family in families.items()}
-    ours = HybridMethod(renderer, settings).render(view, gaze, 1).image
-    # The forest claims to know more than any frame shows.
-    same = {name for name, image in made.items() if np.array_equal(image, ours)}
-    assert same == {"hybrid, without infill"}
+    made = {
+        name: one(0.01).render(view, gaze, 1).image for name, one in ablations(renderer, EVALUATION).items()
+    }
+    ours = HybridMethod(renderer, EVALUATION).render(view, gaze, 1).image
+    differ = {name for name, image in made.items() if np.abs(image - ours).max() > 1e-3}
+    # The forest claims to know more than any frame shows, and the eye resolves all of so small a frame.
+    assert differ == {f"hybrid, without {part}" for part in ("fusion", "denoising", "the cache")}
