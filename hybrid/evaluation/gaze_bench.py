@@ -25,11 +25,12 @@ from hybrid.base.progress import Steps
 from hybrid.evaluation.methods import FullTrace
 from hybrid.evaluation.moving_bench import BETWEEN_EYES, HYBRID, SPLATS, TRACED
 from hybrid.evaluation.temporal_baselines import Svgf, TemporalAntialiasing, TracedFrame
-from hybrid.measure.perceptual_metrics import jod_of_video
+from hybrid.measure.perceptual_metrics import jod, jod_of_video
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
+from hybrid.render.video import ViewPath
 from pathtrace.region.neighbourhood import Neighbourhood
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
@@ -38,12 +39,15 @@ from splat.model.forest import Forest
 STILL, TAA, SVGF = "hybrid, still", "TAA", "SVGF"
 # Frames before each clip, neither judged nor timed: what histories know when a clip begins.
 _LEAD_IN = 8
-# Seconds of a walk once around the neighbourhood of the scene's camera.
-_ROUND = 8.0
+# Seconds of a walk once around the neighbourhood of the scene's camera, and views from one to the next of
+# which it goes straight.
+_ROUND, _STOPS = 8.0, 32
 # Of a tracker's error: shares of its size that stay, and that turn around once in so many seconds.
 _OFFSET, _DRIFT, _TURN = 0.8, 0.6, 3.0
 # Farthest from straight ahead, in degrees, that a tracker says somebody looks.
 _MOST_DEGREES = 85.0
+# Degrees from the gaze up to which JOD is that of the fovea.
+_FOVEA = 5.0
 # Flicker is that of pixels at least so many degrees from the gaze, and this percentile of all their changes.
 _PERIPHERY, _PERCENTILE = 10.0, 99.0
 # Added to the luminance of which a change is a share: that of a display's black in a lit room.
@@ -76,22 +80,21 @@ class Clips:
 class Tracking:
     """What a renderer knows of the gaze: that of so many milliseconds ago, wrong by so many degrees (rms).
 
-    The error is that of eye trackers: most of it a constant offset, and a slow drift. In a direction that
-    `seed` chooses, 0.8 of it stays; 0.6 of it turns around once in three seconds. Errors of all sizes go the
-    same way.
+    The error is that of eye trackers: most of it a constant offset, and a slow drift. In a direction chosen
+    by a seed, 0.8 of it stays; 0.6 of it turns around once in three seconds. Errors of all sizes go the same
+    way.
     """
 
     latency_ms: float
     error_deg: float
-    seed: int = 0
 
-    def at(self, trace: GazeTrace, seconds: float, display: Display) -> Gaze:
+    def at(self, trace: GazeTrace, seconds: float, display: Display, seed: int) -> Gaze:
         """The gaze that the renderer has at a time of a trace."""
         seconds -= self.latency_ms / 1000
         gaze = trace.at(seconds)
         if self.error_deg == 0:
             return gaze
-        start, first = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, 2)
+        start, first = np.random.default_rng(seed).uniform(0, 2 * np.pi, 2)
         turns = np.array([start, first + 2 * np.pi * seconds / _TURN])
         error = np.array([_OFFSET, _DRIFT]) @ np.stack([np.cos(turns), np.sin(turns)], axis=1)
         size = np.array([display.width, display.height])
@@ -119,9 +122,10 @@ def bench_gaze(
     `tracked` are latencies in milliseconds and errors in degrees, each of the former with each of the latter.
     Rows are written before the intermediate results are deleted.
 
-    Rows have method, latency_ms and gaze_error_deg (None if the method does not follow the gaze); jod, the
-    mean over the clips, with low and high, its 95 % interval over the clips, each None if unknown; flicker,
-    as `added_flicker` has it; ms, the median over all frames; display (width, height), clips and frames.
+    Rows have method, latency_ms and gaze_error_deg (None if the method does not follow the gaze); jod of
+    the whole video and foveal_jod, means over the clips, with low and high, foveal_low and foveal_high, their
+    95 % intervals over the clips, each None if unknown; flicker, as `added_flicker` has it; ms, the median
+    over all frames; width and height of the display; clips and frames of each.
     UserError if the trace is too short, or nobody can walk.
     """
     trackings = [Tracking(*pair) for pair in product(*tracked)]
@@ -199,6 +203,25 @@ def added_flicker(
     return float(np.percentile(changes, _PERCENTILE)) if len(changes) else None
 
 
+def foveal_jod(
+    images: Sequence[Image], truths: Sequence[Image], gazes: Sequence[Gaze], display: Display
+) -> float | None:
+    """JOD of what lies around the gaze, in a square of ten degrees, as single images; mean over frames.
+
+    JOD of a whole video averages over the frame, of which the fovea is a small part. None if unknown.
+    """
+    size = np.array(images[0].shape[1::-1])
+    box = np.minimum(round(2 * _FOVEA * display.pixels_per_degree), size)
+    scores = []
+    for image, truth, gaze in zip(images, truths, gazes, strict=True):
+        # Within the frame, also where the gaze is at its edge.
+        at = np.array([gaze.x, gaze.y]) * size
+        left, top = corner = np.clip(np.rint(at - box / 2), 0, size - box).astype(int)
+        part = np.s_[top : top + box[1], left : left + box[0]]
+        scores.append(jod(image[part], truth[part], display, Gaze(*((at - corner) / box).tolist())))
+    return _mean(scores)
+
+
 @dataclass(frozen=True)
 class _Method:
     """Makes frames that follow each other from camera, gaze, number and seed; `follows` if by the gaze."""
@@ -211,16 +234,16 @@ class _Method:
 class _Bench:
     """Clips by methods."""
 
-    def __init__(
-        self, scene: Scene, forest: Forest, settings: FrameSettings, clips: Clips, trace: GazeTrace
-    ):
+    def __init__(self, scene: Scene, forest: Forest, settings: FrameSettings, clips: Clips, trace: GazeTrace):
         self._settings, self._clips, self._trace = settings, clips, trace
         live, still = LiveRenderer(scene, forest), Renderer(scene, forest)
         self._tracer = still.tracer
         size = settings.display.width, settings.display.height
         self._near = Neighbourhood(live.scene, live.scene.surfaces(), *size)
         self._truths: dict[Camera, Image] = {}
-        if clips.walks and all(camera == self._near.home for camera in self._near.path([0.2, 0.4])):
+        stops = self._near.path(np.linspace(0, 1, _STOPS + 1).tolist())
+        self._way = ViewPath([View(camera) for camera in stops])
+        if clips.walks and all(camera == self._near.home for camera in stops):
             raise UserError(f"{scene.name}: around the scene's camera there is no free space to walk in")
         splats, traced = SplatRenderer(forest), FullTrace(live.tracer_of(Integrator.CACHED), 1, denoised=True)
 
@@ -257,17 +280,19 @@ class _Bench:
 
     def judged(self, name: str, tracking: Tracking | None, number: int, start: float) -> dict[str, Any]:
         """Quality, flicker and milliseconds of a clip, means over the eyes."""
-        display, fps, scores, flickers = self._settings.display, self._clips.fps, [], []
+        display, fps = self._settings.display, self._clips.fps
+        scores: dict[str, list[float | None]] = {"jod": [], "foveal_jod": [], "flicker": []}
         milliseconds: list[float] = []
         seconds = [start + frame / fps for frame in range(self._clips.frames)]
         gazes = [self._trace.at(second) for second in seconds]
         for cameras in self._eyes(start):
             images, times = self._shown(self.methods[name], tracking, number, start, cameras)
             truths = [self._truth(camera) for camera in cameras[_LEAD_IN:]]
-            scores.append(jod_of_video(images, truths, fps, display, gazes))
-            flickers.append(added_flicker(images, truths, gazes, display))
+            scores["jod"].append(jod_of_video(images, truths, fps, display, gazes))
+            scores["foveal_jod"].append(foveal_jod(images, truths, gazes, display))
+            scores["flicker"].append(added_flicker(images, truths, gazes, display))
             milliseconds += times
-        return {"jod": _mean(scores), "flicker": _mean(flickers), "ms": milliseconds}
+        return {name: _mean(of) for name, of in scores.items()} | {"ms": milliseconds}
 
     def _shown(
         self,
@@ -278,15 +303,13 @@ class _Bench:
         cameras: Sequence[Camera],
     ) -> tuple[list[Image], list[float]]:
         """The judged frames of a clip by a method, from one eye's cameras, and their milliseconds."""
-        # What the viewer's trackings have in common is the clip.
-        tracked = None if tracking is None else replace(tracking, seed=number)
         images, milliseconds = [], []
         method.forget()
         for frame, camera in enumerate(cameras):
             gaze = Gaze()
-            if tracked is not None:
+            if tracking is not None:
                 second = start + (frame - _LEAD_IN) / self._clips.fps
-                gaze = tracked.at(self._trace, second, self._settings.display)
+                gaze = tracking.at(self._trace, second, self._settings.display, number)
             begin = time.perf_counter()
             image = method.frame(camera, gaze, frame, number * _SEEDS + frame)
             if frame >= _LEAD_IN:
@@ -296,11 +319,11 @@ class _Bench:
 
     def _eyes(self, start: float) -> Iterator[list[Camera]]:
         """The cameras of a clip's frames, the lead-in before them, of one eye or both."""
-        count, cameras = _LEAD_IN + self._clips.frames, [self._near.home]
+        count = _LEAD_IN + self._clips.frames
+        cameras = [self._near.home] * count
         if self._clips.walks:
             times = start + (np.arange(count) - _LEAD_IN) / self._clips.fps
-            cameras = self._near.path((times / _ROUND % 1).tolist())
-        cameras = cameras if len(cameras) == count else cameras * count
+            cameras = [self._way.at(share).camera for share in times / _ROUND % 1]
         if not self._clips.both_eyes:
             yield cameras
             return
@@ -323,15 +346,17 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def _summary(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Means over clips, the interval of JOD by Student's t, and the median time of all frames."""
-    scores = [result["jod"] for result in results]
-    mean, half = _mean(scores), None
-    if mean is not None and len(scores) > 1:
-        half = float(stdtrit(len(scores) - 1, 0.975) * np.std(scores, ddof=1) / len(scores) ** 0.5)
+    """Means over clips, 95 % intervals of JOD by Student's t, and the median time of all frames."""
+    row: dict[str, Any] = {}
+    for name, low, high in (("jod", "low", "high"), ("foveal_jod", "foveal_low", "foveal_high")):
+        scores = [result[name] for result in results]
+        mean = row[name] = _mean(scores)
+        row |= {low: None, high: None}
+        if mean is not None and len(scores) > 1:
+            half = float(stdtrit(len(scores) - 1, 0.975) * np.std(scores, ddof=1) / len(scores) ** 0.5)
+            row |= {low: mean - half, high: mean + half}
     return {
-        "jod": mean,
-        "low": None if mean is None or half is None else mean - half,
-        "high": None if mean is None or half is None else mean + half,
+        **row,
         "flicker": _mean([result["flicker"] for result in results]),
         "ms": float(np.median([ms for result in results for ms in result["ms"]])),
     }

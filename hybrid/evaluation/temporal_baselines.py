@@ -80,11 +80,12 @@ class TracedFrame:
         traced = tracer.trace(camera, positions, 1, seed, features=True)
         seen = traced.features
         assert seen is not None, "features were asked for"
-        channels = traced.radiance, seen.albedo, seen.normal
-        planes = (_planes(interleaved(of), camera) for of in channels)
         position = interleaved(seen.position).astype(np.float64)
         depth = camera.project(position)[1].astype(np.float32)
-        return TracedFrame(camera, *planes, position, _planes(depth, camera))
+        radiance, albedo, normal = (
+            _planes(interleaved(of), camera) for of in (traced.radiance, seen.albedo, seen.normal)
+        )
+        return TracedFrame(camera, radiance, albedo, normal, position, _planes(depth, camera))
 
     def places_in(self, last: Camera) -> tuple[Tensor, Tensor]:
         """Where pixel centres were in the last view: (H, W, 2) in pixels, and (1, H, W) how deep."""
@@ -160,15 +161,16 @@ class Guides:
     @staticmethod
     def of(depth: Tensor, normal: Tensor) -> Guides:
         """With the smaller one of the differences to either side: the other one may cross an edge."""
-        padded = functional.pad(depth[None], (1, 1, 1, 1), mode="replicate")[0]
         slopes = []
-        for before, after in (
-            (depth - padded[:, 1:-1, :-2], padded[:, 1:-1, 2:] - depth),
-            (depth - padded[:, :-2, 1:-1], padded[:, 2:, 1:-1] - depth),
-        ):
-            # At the border of the frame, one of them is that to the pixel itself.
-            inner = (before != 0) & ((after == 0) | (before.abs() < after.abs()))
-            slopes.append(torch.where(inner, before, after))
+        for axis in (2, 1):
+            if depth.shape[axis] == 1:
+                slopes.append(torch.zeros_like(depth))
+                continue
+            steps = depth.diff(dim=axis)
+            # At the border of the frame, there is one side only.
+            before = torch.cat([steps.narrow(axis, 0, 1), steps], dim=axis)
+            after = torch.cat([steps, steps.narrow(axis, steps.shape[axis] - 1, 1)], dim=axis)
+            slopes.append(torch.where(before.abs() < after.abs(), before, after))
         return Guides(depth, torch.cat(slopes), normal)
 
     def weights(self, reach: int, step: int = 1) -> Iterator[tuple[int, int, Tensor]]:
@@ -282,9 +284,7 @@ def variance_of(moments: Tensor, frames: Tensor, guides: Guides) -> Tensor:
     return torch.where(young, variance * _TRUSTED / frames, variance)
 
 
-def wavelet(
-    illumination: Tensor, variance: Tensor, guides: Guides, step: int
-) -> tuple[Tensor, Tensor]:
+def wavelet(illumination: Tensor, variance: Tensor, guides: Guides, step: int) -> tuple[Tensor, Tensor]:
     """One level of the à-trous wavelet, and the variance (1, H, W) that it leaves (equations 1, 2 and 5)."""
     pad = 2 * step
     light = _luminance(illumination)
