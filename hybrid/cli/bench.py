@@ -303,9 +303,14 @@ def gaze(
     judged, tracked = Clips(clips, seconds, fps, reference_spp, walk, both_eyes), (latency, gaze_error)
     with progress_bar("bench (videos)") as bar:
         rows = bench_gaze(loaded, found, settings, judged, trace, tracked, write, bar)
-    print(
-        f"{'method':<22}  late, ms   off, deg     JOD  95 % interval   fovea  95 % interval  flicker       ms"
-    )
+    _print_judged(rows)
+    if rows[0]["jod"] is None:
+        print(INSTALL)
+
+
+def _print_judged(rows: list[dict[str, Any]]) -> None:
+    head = "  late, ms   off, deg     JOD  95 % interval   fovea  95 % interval  flicker       ms"
+    print(f"{'method':<22}{head}")
     form = (
         "{method:<22}{latency_ms:>10}{gaze_error_deg:>11}{jod:>8}{low:>8} {high:>6}"
         "{foveal_jod:>8}{foveal_low:>8} {foveal_high:>6}{flicker:>9}{ms:>9}"
@@ -315,8 +320,6 @@ def gaze(
         cells = {name: "-" if value is None else value for name, value in row.items()}
         numbers = {n: format(v, styles.get(n, ".2f")) for n, v in cells.items() if isinstance(v, float)}
         print(form.format(**cells | numbers))
-    if rows[0]["jod"] is None:
-        print(INSTALL)
 
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
