@@ -122,11 +122,11 @@ def bench_gaze(
     `tracked` are latencies in milliseconds and errors in degrees, each of the former with each of the latter.
     Rows are written before the intermediate results are deleted.
 
-    Rows have method, latency_ms and gaze_error_deg (None if the method does not follow the gaze); jod of
-    the whole video and foveal_jod, means over the clips, with low and high, foveal_low and foveal_high, their
-    95 % intervals over the clips, each None if unknown; flicker, as `added_flicker` has it; ms, the median
-    over all frames; width and height of the display; clips and frames of each.
-    UserError if the trace is too short, or nobody can walk.
+    Rows have method, latency_ms and gaze_error_deg (None if the method does not follow the gaze); jod of the
+    whole video and foveal_jod, means over the clips, with low and high, foveal_low and foveal_high, their 95
+    % intervals over the clips, and both by clip, which methods share; each None if unknown; flicker, as
+    `added_flicker` has it; ms, the median over all frames; width and height of the display; clips and frames
+    of each. UserError if the trace is too short, or nobody can walk.
     """
     trackings = [Tracking(*pair) for pair in product(*tracked)]
     longest, display = max(one.latency_ms for one in trackings) / 1000, settings.display
@@ -351,7 +351,7 @@ def _summary(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for name, low, high in (("jod", "low", "high"), ("foveal_jod", "foveal_low", "foveal_high")):
         scores = [result[name] for result in results]
         mean = row[name] = _mean(scores)
-        row |= {low: None, high: None}
+        row |= {low: None, high: None, f"{name}_by_clip": scores}
         if mean is not None and len(scores) > 1:
             half = float(stdtrit(len(scores) - 1, 0.975) * np.std(scores, ddof=1) / len(scores) ** 0.5)
             row |= {low: mean - half, high: mean + half}

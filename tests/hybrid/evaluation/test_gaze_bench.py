@@ -162,6 +162,7 @@ def test_what_follows_the_gaze_has_a_row_for_each_tracking(corner, rough):
         (name, None, None) for name in (SPLATS, TRACED, TAA, SVGF)
     }
     assert all(row["low"] <= row["jod"] <= row["high"] for row in rows)
+    assert all(np.mean(row["foveal_jod_by_clip"]) == pytest.approx(row["foveal_jod"]) for row in rows)
     assert all(row["ms"] > 0 and (row["clips"], row["frames"]) == (2, 3) for row in rows)
     # Rough splats stand still, single paths do not.
     assert found[SPLATS, None, None]["flicker"] == 0
