@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from compose.base.errors import UserError
+from compose.eye.gaze import load_gaze_trace
 from hybrid.cli import options as o
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
@@ -225,6 +226,102 @@ def moving(
     return {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
 
 
+def _finite(values: list[float]) -> list[float]:
+    return [value for value in values if o.finite(value) is not None]
+
+
+def gaze(
+    scene: o.SceneName,
+    forest: o.ForestFile = None,
+    display: o.DisplayName = "desktop",
+    size: Annotated[
+        tuple[int, int] | None,
+        o.frame("--size", metavar="W H", help="Pixels of the display, as wide in degrees. Default: its own."),
+    ] = None,
+    gaze_trace: Annotated[
+        Path | None, o.viewer(metavar="FILE", help="CSV file with a recorded gaze. Default: simulated.")
+    ] = None,
+    latency: Annotated[
+        list[float],
+        o.viewer(
+            help="Milliseconds by which methods know the gaze late. May be repeated.",
+            min=0,
+            max=10_000,
+            callback=_finite,
+        ),
+    ] = [0.0, 50.0, 100.0],  # noqa: B006
+    gaze_error: Annotated[
+        list[float],
+        o.viewer(
+            help="Root mean square of the tracker's error in degrees: offset and drift. May be repeated.",
+            min=0,
+            max=45,
+            callback=_finite,
+        ),
+    ] = [0.0, 1.0, 3.0],  # noqa: B006
+    walk: Annotated[
+        bool, o.viewer("--walk", help="The camera moves around the scene's own; else it stands still.")
+    ] = False,
+    both_eyes: Annotated[bool, o.viewer("--both-eyes", help="Judge two videos, one of each eye.")] = False,
+    clips: Annotated[int, o.measurement(help="Clips per row.", min=1, max=o.MOST_FRAMES)] = 6,
+    seconds: Annotated[float, o.measurement(help="Length of a clip.", min=0.05, max=600)] = 1.0,
+    fps: Annotated[int, o.measurement(help="Frames per second.", min=1, max=240)] = 24,
+    spp: o.Spp = INTERACTIVE.spp,
+    reference_spp: o.ReferenceSpp = 256,
+    thin_glass: o.ThinGlass = False,
+    sensor: o.Sensor = None,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
+) -> None:
+    """Judge methods as videos for a viewer who looks around while they know the gaze late and inexactly.
+
+    They are judged where the viewer really looks; resumes if interrupted.
+    """
+    settings = replace(INTERACTIVE, spp=spp, display=display)
+    if size is not None:
+        o.require_size(size, 4)
+        shown = replace(settings.display, width=size[0], height=size[1])
+        settings = replace(settings, display=shown)
+    trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
+    o.select(backend)
+    from hybrid.base.identity import machine
+    from hybrid.evaluation.gaze_bench import Clips, bench_gaze
+    from hybrid.measure.perceptual_metrics import INSTALL
+    from hybrid.preparation.preparation import with_forest
+
+    loaded, found = with_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
+    more = {
+        "display": display,
+        "gaze": "simulated" if gaze_trace is None else gaze_trace.stem,
+        "scene": loaded.name,
+        "machine": machine(),
+    }
+
+    def write(rows: list[dict[str, Any]]) -> None:
+        o.write_json(json_file, [{**row, **more} for row in rows])
+
+    judged, tracked = Clips(clips, seconds, fps, reference_spp, walk, both_eyes), (latency, gaze_error)
+    with progress_bar("bench (videos)") as bar:
+        rows = bench_gaze(loaded, found, settings, judged, trace, tracked, write, bar)
+    _print_judged(rows)
+    if rows[0]["jod"] is None:
+        print(INSTALL)
+
+
+def _print_judged(rows: list[dict[str, Any]]) -> None:
+    head = "  late, ms   off, deg     JOD  95 % interval   fovea  95 % interval  flicker       ms"
+    print(f"{'method':<22}{head}")
+    form = (
+        "{method:<22}{latency_ms:>10}{gaze_error_deg:>11}{jod:>8}{low:>8} {high:>6}"
+        "{foveal_jod:>8}{foveal_low:>8} {foveal_high:>6}{flicker:>9}{ms:>9}"
+    )
+    styles = {"latency_ms": "g", "gaze_error_deg": "g", "flicker": ".1%", "ms": ".1f"}
+    for row in rows:
+        cells = {name: "-" if value is None else value for name, value in row.items()}
+        numbers = {n: format(v, styles.get(n, ".2f")) for n, v in cells.items() if isinstance(v, float)}
+        print(form.format(**cells | numbers))
+
+
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
-for command in (raster, integrator, periphery, frame, moving):
+for command in (raster, integrator, periphery, frame, moving, gaze):
     bench_app.command()(o.with_json(command))

@@ -47,7 +47,7 @@ _MODELS = "fov-gs", "stelacsf"
 # By what its first two rows select nodes: where they were in the frame before, by acuity.
 _LAST_FRAME = "last frame"
 # Between the eyes, as a share of the median distance of what is seen: 6.4 cm in a room of four metres.
-_BETWEEN_EYES = 1 / 64
+BETWEEN_EYES = 1 / 64
 # Clips, spread over the time of the scene; frames of each, of which the last is judged; and of a second.
 _CLIPS, _FRAMES, _FRAMES_PER_SECOND = 6, 8, 13.0
 # Frames before the last one in which something else was at the place of what has just been uncovered.
@@ -197,7 +197,7 @@ class _Methods:
         camera, _ = settings.resolved(renderer.scene.camera)
         depth = renderer.depth(camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
-        self._right_eye = camera.moved_right(_BETWEEN_EYES * seen)
+        self._right_eye = camera.moved_right(BETWEEN_EYES * seen)
         self._methods: dict[str, _Frame] = {HYBRID: self._frame, ALONE: self._fresh_frame}
         self._methods |= {**self._splats, TWO_EYES: self._both_eyes}
         # Path-traced frames that take as long as the hybrid's, if any do.

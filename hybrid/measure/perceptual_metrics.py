@@ -101,13 +101,20 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
 
 
 def jod_of_video(
-    images: Sequence[Image], references: Sequence[Image], rate: float, display: Display, gaze: Gaze
+    images: Sequence[Image],
+    references: Sequence[Image],
+    rate: float,
+    display: Display,
+    gaze: Gaze | Sequence[Gaze],
 ) -> float | None:
-    """Quality of one or more frames that follow each other, in JOD as in `jod` for one; the gaze rests.
+    """Quality of one or more frames that follow each other, in JOD as in `jod` for one.
 
-    The rate is in frames per second, and of no meaning for a single frame. ValueError unless there are as
-    many images as references.
+    The rate is in frames per second, and of no meaning for a single frame. The gaze rests, or is another one
+    in each frame. ValueError unless there are as many references as images, and gazes if there are several.
     """
+    gazes = [gaze] * len(images) if isinstance(gaze, Gaze) else gaze
+    if len(gazes) != len(images):
+        raise ValueError(f"{len(gazes)} gazes for {len(images)} images")
     for image, reference in zip(images, references, strict=True):
         checked_pair(image, reference)
     height, width = images[0].shape[:2]
@@ -125,7 +132,7 @@ def jod_of_video(
         expected,
         dim_order="FHWC",
         frames_per_second=rate if len(images) > 1 else 0,
-        fixation_point=torch.tensor(gaze.pixel(width, height)),
+        fixation_point=torch.tensor([one.pixel(width, height) for one in gazes]),
     )
     return float(score)
 

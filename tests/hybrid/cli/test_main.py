@@ -13,7 +13,7 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli import main as module
-from hybrid.cli.bench import bench_app, frame, integrator, moving, periphery, raster
+from hybrid.cli.bench import bench_app, frame, gaze, integrator, moving, periphery, raster
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
@@ -56,6 +56,7 @@ BENCHES = {
     "periphery": periphery,
     "frame": frame,
     "moving": moving,
+    "gaze": gaze,
 }
 
 
