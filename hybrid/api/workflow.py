@@ -223,32 +223,27 @@ def evaluate(
         folder: for the report; the evaluation resumes from what it finds there.
         settings: what to measure; the defaults of EvaluationSettings if None.
         baseline_forest: forest file of Gaussians without trees (trained with one layer) to compare with.
-        progress: called with work done, work in total (of the whole evaluation, in expected milliseconds),
+        progress: called with work done, work in total (of the whole evaluation, in thousandths of a view),
             and the current activity.
 
     Returns:
-        The content of evaluation.json: scene, settings, display, references, methods, quality (rows of view,
-        method, budget, region, metric, value), time (rows of method, budget, ms, passes), machine.
+        The content of evaluation.json: scene, settings, display, views, references, methods, quality (rows of
+        view, seed, method, budget, region, metric, value), time (rows of method, budget, ms, passes),
+        verdicts (rows of region, metric, baseline, budget, difference, low, high, verdict), preparation (rows
+        of method, seconds, frames_to_pay), machine.
 
     Raises:
         UserError: the settings cannot be measured, a forest belongs to another scene, or the folder holds
             another evaluation.
     """
-    from compose.base.files import json_text, write_text
-    from hybrid.base.identity import require_scene
-    from hybrid.evaluation.evaluation import Evaluation
-    from hybrid.evaluation.evaluation_page import write_report
-    from hybrid.evaluation.evaluation_settings import EvaluationSettings
-    from hybrid.render.forest_attachments import scene_as_trained
+    from hybrid.evaluation.evaluation import evaluation_of
+    from hybrid.evaluation.evaluation_page import write_evaluation
 
-    settings = settings or EvaluationSettings()
-    settings.require_measurable()
-    scene, folder, flat = scene_as_trained(scene, forest), Path(folder), None
-    if baseline_forest is not None:
-        flat = load_forest(baseline_forest)
-        require_scene(flat, scene.name, scene.hash, baseline_forest)
-    evaluation = Evaluation(scene, forest, settings, folder, flat)
-    found = evaluation.run(lambda activity, done, total: progress(int(done), int(total), activity))
-    write_text(folder / "evaluation.json", json_text(found))
-    write_report(folder)
+    folder = Path(folder)
+    flat = None if baseline_forest is None else Path(baseline_forest)
+    evaluation = evaluation_of(scene, forest, settings, folder, flat)
+    found = evaluation.run(
+        lambda activity, done, total: progress(int(1000 * done), 1000 * int(total), activity)
+    )
+    write_evaluation(folder, found)
     return found

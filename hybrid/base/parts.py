@@ -181,6 +181,15 @@ def parts_in(shared: Path) -> list[StoredPart]:
     return found
 
 
+def machine_of(parts: Sequence[StoredPart]) -> dict[str, Any]:
+    """What `machine` says of the machines of complete parts; all that they have where they differ."""
+    own = {}
+    for name, first in parts[0].machine.items():
+        values = {str(one.machine.get(name)) for one in parts}
+        own[name] = first if len(values) == 1 else ", ".join(sorted(values))
+    return {**own, **parts[0].identity["machine"]}
+
+
 def remove_parts(shared: Path, parts: Sequence[StoredPart]) -> None:
     """Removes the folders of parts when what they were joined to is complete."""
     shutil.rmtree(shared / _SHARED, ignore_errors=True)

@@ -44,7 +44,8 @@ def merge(
 ) -> o.Measured:
     """Join the parts that a command with --part made, if all are there, finished and of one version.
 
-    Parts of a capture become a frame set in the folder; those of a sweep stay, and --json writes the whole.
+    Parts of a capture become a frame set in the folder, those of an evaluation its page. Those of a sweep
+    stay as they are, and --json writes the whole.
     """
     from hybrid.base.parts import stored_parts
 
@@ -78,8 +79,23 @@ def _merged_sweep(folder: Path) -> o.Measured:
     return content
 
 
+def _merged_evaluation(folder: Path) -> o.Measured:
+    from hybrid.cli.evaluate import print_evaluation
+    from hybrid.evaluation.evaluation import merged_evaluation
+    from hybrid.evaluation.evaluation_page import write_evaluation
+
+    content = merged_evaluation(folder)
+    write_evaluation(folder, content)
+    print_evaluation(folder, content)
+    return content
+
+
 # How parts are joined, by the kind that they were begun with.
-_MERGES: dict[str, Callable[[Path], o.Measured]] = {"capture": _merged_capture, "sweep": _merged_sweep}
+_MERGES: dict[str, Callable[[Path], o.Measured]] = {
+    "capture": _merged_capture,
+    "sweep": _merged_sweep,
+    "evaluate": _merged_evaluation,
+}
 
 
 def on_ray(address: str, part: str | None, folder: Path | None, is_timed: bool = False) -> o.Measured:

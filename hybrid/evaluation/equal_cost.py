@@ -1,9 +1,9 @@
-"""Baselines at the cost of the hybrid frame: the rays at which one takes as long, and its best settings."""
+"""Baselines at the cost of the hybrid frame: the rays with which each takes as long, the best settings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import product
 
 import numpy as np
@@ -18,83 +18,119 @@ from hybrid.evaluation.baselines import Tuning, WarpTuning, disc_over, warped
 from hybrid.evaluation.baselines_traced import enlarged
 from hybrid.evaluation.methods import Family, Method
 from hybrid.evaluation.results import TOLERANCE
-from hybrid.measure.frame_times import jittered_view, path_around, ratio_interval, ratio_of_medians
+from hybrid.measure.frame_times import jittered_view, path_around, ratio_of_medians
 from hybrid.measure.image_metrics import has_valid, regions, ssim_map, valid_mean
 from pathtrace.trace.tracer import Tracer
 
-# Trials at most.
-_TRIALS = 12
-# Frames of each method per trial, after one that is not measured: in steps of the first number, until the
-# time is known well enough to decide, at most the second one.
-_STEP, _MOST_FRAMES = 6, 60
-# Between two frames' steps along the gaze path: few frames cover all of it as well.
-_STRIDE = 23
-# Rays per pixel of a baseline, and how long it takes with them, relative to the hybrid frame.
-Trial = tuple[float, float]
+# By the frames of a trial, by how much (in logarithms) times may differ for the trial to go on; with the most
+# frames, for it to end the search. Few frames suffice to tell that a trial is far off.
+_ENDURED = {3: 0.25, 6: 0.08, 9: 0.04}
+_TRIALS = 10
+# Steps past rays that round to settings that were tried.
+_STEPS = 12
+# Frames before the trials, while kernels are compiled.
+_WARM_UP = 2
+# Time grows by about this power of rays; the longest step in rays without trials on both sides; and how near
+# a guess may come to a trial on either side, as a share of the way between both.
+_POWER, _LONGEST, _NEAREST = 0.8, 8.0, 0.15
 # What is tried: f of RMFR's mapping, samples per pixel, and shares of the rays in a disc.
 _F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 _SPP = (1, 2, 4)
 _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 
 
-def at_equal_time(
-    family: Family, ours: Method, views: Sequence[View], gaze: Gaze, rays: float
-) -> float | None:
-    """Rays per pixel at which a baseline comes closest to our time without exceeding it by over 3 %.
+def rays_at_equal_time(
+    families: Mapping[str, Family],
+    ours: Method,
+    view: View,
+    gaze: Gaze,
+    first: Mapping[str, float],
+    progress: Steps,
+) -> dict[str, float | None]:
+    """By the names of the families, rays per pixel at which each takes about as long as our frame in a view.
 
-    The time of the baseline's family must grow with its rays, of which `rays` are tried first. Frames go
-    through the views in turn, their gazes along a path around `gaze`. None if every trial took longer.
+    All take turns, because the machine's speed drifts, their gazes along a path around `gaze`; no frame
+    reuses what another one has computed. The `first` rays are tried first, and time must grow with rays. None
+    where even the cheapest trial took over TOLERANCE longer.
     """
-    known: dict[str, float] = {}
-    within: Trial | None = None
-    beyond: Trial | None = None
-    for _ in range(_TRIALS):
-        method = family(rays)
-        # Whole samples: other rays may well be the same settings.
-        key = str(method.settings)
-        if key not in known:
-            known[key] = relative_time(method, ours, views, gaze)
-        if known[key] <= 1 + TOLERANCE:
-            within = rays, known[key]
-        else:
-            beyond = rays, known[key]
-        if within is not None and within[1] >= 1 - TOLERANCE:
+    searches = {name: _Search(family, first[name]) for name, family in families.items()}
+    rounds = _TRIALS * max(_ENDURED)
+    path = path_around(gaze, max(_ENDURED))
+    for turn in range(-_WARM_UP, rounds):
+        open_ = [search for search in searches.values() if not search.is_over]
+        if not open_:
             break
-        rays = _next_guess(within, beyond)
-    return None if within is None else within[0]
+        methods = [ours, *(search.method for search in open_)]
+        milliseconds = []
+        for place, method in enumerate(methods):
+            number = (turn + _WARM_UP) * (1 + len(searches)) + place
+            frame = method.render(jittered_view(view, number), path[turn % len(path)], turn + _WARM_UP)
+            milliseconds.append(frame.milliseconds["total"])
+        for search, own in zip(open_, milliseconds[1:], strict=True):
+            if turn >= 0:
+                search.add(own, milliseconds[0])
+        progress(sum(search.is_over for search in searches.values()), len(searches))
+    return {name: search.found for name, search in searches.items()}
 
 
-def _next_guess(within: Trial | None, beyond: Trial | None) -> float:
-    """Rays that should meet our time, from the last trials within and beyond it."""
-    if within is not None and beyond is not None:
-        span = (1 - within[1]) / (beyond[1] - within[1])
-        # Kept away from both ends: with whole samples, a line between two trials may lead back to one.
-        return within[0] + (beyond[0] - within[0]) * float(np.clip(span, 0.2, 0.8))
-    trial = within or beyond
-    assert trial is not None
-    # Time grows more slowly than rays: steps that are longer than needed soon have trials on both sides.
-    steps = (1.5, 8.0) if beyond is None else (0.125, 0.7)
-    return trial[0] * float(np.clip(trial[1] ** -1.5, *steps))
+class _Search:
+    """The search for a family's rays, one trial after the other."""
 
+    def __init__(self, family: Family, rays: float):
+        self._family, self._trials = family, dict[str, tuple[float, float]]()
+        self.is_over = False
+        self._begin(rays)
 
-def relative_time(method: Method, ours: Method, views: Sequence[View], gaze: Gaze) -> float:
-    """A method's time over ours: medians of frames rendered in turns, because the machine's speed drifts.
+    def _begin(self, rays: float) -> None:
+        self.rays, self.method = rays, self._family(rays)
+        self._own: list[float] = []
+        self._ours: list[float] = []
 
-    Views, gaze and camera change from frame to frame. Frames are added until the ratio's 95 % confidence
-    interval decides whether the times are equal, or is no wider than what counts as equal.
-    """
-    times: tuple[list[float], list[float]] = ([], [])
-    path = path_around(gaze, _MOST_FRAMES)
-    for seed in range(_MOST_FRAMES + 1):
-        view, at = views[seed % len(views)], path[seed * _STRIDE % _MOST_FRAMES]
-        for number, (one, found) in enumerate(zip((method, ours), times, strict=True)):
-            found.append(one.render(jittered_view(view, 2 * seed + number), at, seed).milliseconds["total"])
-        # The first frames warm up.
-        if seed and seed % _STEP == 0:
-            low, high = ratio_interval(times[0][1:], times[1][1:])
-            if low > 1 + TOLERANCE or high < 1 - TOLERANCE or high - low <= TOLERANCE:
-                break
-    return ratio_of_medians(times[0][1:], times[1][1:])
+    def add(self, own: float, ours: float) -> None:
+        """Adds a frame's milliseconds and those of our frame in the same turn; may go on to other rays."""
+        self._own.append(own)
+        self._ours.append(ours)
+        count = len(self._own)
+        if count not in _ENDURED:
+            return
+        ratio = ratio_of_medians(self._own, self._ours)
+        met = abs(math.log(ratio)) <= _ENDURED[count]
+        if met and count < max(_ENDURED):
+            return
+        # Whole samples: other rays may well be the same settings.
+        self._trials[str(self.method.settings)] = self.rays, ratio
+        rays = None if met or len(self._trials) == _TRIALS else self._next()
+        if rays is None:
+            self.is_over = True
+        else:
+            self._begin(rays)
+
+    def _next(self) -> float | None:
+        """Rays that should meet our time and have settings that were not tried; None if there are none."""
+        rays, step = self._guess()
+        for _ in range(_STEPS):
+            if str(self._family(rays).settings) not in self._trials:
+                return rays
+            rays *= step
+        return None
+
+    def _guess(self) -> tuple[float, float]:
+        """Rays that should meet our time, and the factor to the next ones if they change nothing."""
+        below = max((trial for trial in self._trials.values() if trial[1] <= 1), default=None)
+        above = min((trial for trial in self._trials.values() if trial[1] > 1), default=None)
+        if below is not None and above is not None and below[0] < above[0]:
+            low, high = math.log(below[1]), math.log(above[1])
+            share = min(max(-low / (high - low), _NEAREST), 1 - _NEAREST)
+            return below[0] * (above[0] / below[0]) ** share, 1.0
+        rays, ratio = list(self._trials.values())[-1]
+        step = min(max(ratio ** (-1 / _POWER), 1 / _LONGEST), _LONGEST)
+        return rays * step, step
+
+    @property
+    def found(self) -> float | None:
+        """The rays of the trial that came nearest, of those that took no more than TOLERANCE longer."""
+        within = [trial for trial in self._trials.values() if trial[1] <= 1 + TOLERANCE]
+        return min(within, key=lambda trial: abs(math.log(trial[1])))[0] if within else None
 
 
 def tuned(

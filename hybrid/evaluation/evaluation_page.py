@@ -13,11 +13,10 @@ from markupsafe import Markup
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError, one_line
-from compose.base.files import read_json, write_text
+from compose.base.files import json_text, read_json, write_text
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE
 from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot, sweep_plots
 from hybrid.evaluation.results import (
-    HALVES_KEY,
     OURS_KEY,
     TOLERANCE,
     WHOLE_METRIC,
@@ -25,9 +24,9 @@ from hybrid.evaluation.results import (
     Results,
     flip_name,
     image_name,
-    verdicts,
 )
 from hybrid.evaluation.sweep_catalogue import sentence, table, with_range
+from hybrid.evaluation.verdicts import sentences
 from hybrid.measure.frame_quality import METRICS, missing
 from hybrid.measure.image_metrics import REGIONS
 
@@ -37,7 +36,13 @@ _PERCENTILES = ("p50", "p95", "p99")
 # Images in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 90
 # What the page shows of evaluation.json.
-_CONTENT = ("scene", "settings", "references", "methods", "quality", "time", "machine")
+_CONTENT = ("scene", "settings", "views", "references", "methods", "quality", "time", "machine")
+
+
+def write_evaluation(folder: Path, found: dict[str, Any]) -> None:
+    """Writes evaluation.json and the page of an evaluation."""
+    write_text(folder / "evaluation.json", json_text(found))
+    write_report(folder)
 
 
 def write_report(folder: Path) -> None:
@@ -54,6 +59,7 @@ def write_report(folder: Path) -> None:
         samples=_markup([samples_plot(results, metric) for metric in metrics]),
         quality=[quality_table(results, region) for region in REGIONS],
         time=time_table(results),
+        preparation=results.found["preparation"],
         **_viewer(results, folder),
         sweeps=[_sweep(sweep) for sweep in sweeps],
     )
@@ -98,10 +104,12 @@ def _overview(results: Results) -> dict[str, Any]:
         "subtitle": (
             f"{settings['width']} × {settings['height']}, samples per pixel in the disc: {settings['spp']}, "
             f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
-            f"{len(results.views)} views. References: {settings['reference_spp']} samples per pixel, "
-            f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
+            f"{len(found['views'])} views, {settings['seeds']} seeds. References: "
+            f"{settings['reference_spp']} samples per pixel, "
+            f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc"
+            f"{', denoised' if settings['denoised_references'] else ''}."
         ),
-        "verdicts": verdicts(found),
+        "verdicts": sentences(found),
         "settings": settings,
         # Evaluations of earlier versions have none.
         "plan": found.get("plan", {}),
@@ -117,10 +125,10 @@ def _overview(results: Results) -> dict[str, Any]:
 
 
 def quality_table(results: Results, region: str) -> dict[str, Any]:
-    """Means over the views of one region: `region`, `columns`, and `rows` of the methods and references."""
+    """Means over the views of one region: `region`, `columns`, and `rows` of the methods."""
     metrics = [m for m in METRICS if results.mean(OURS_KEY, region, m) is not None]
     rows = []
-    for key in [*results.keys, HALVES_KEY]:
+    for key in results.keys:
         values = [results.mean(key, region, metric) for metric in metrics]
         cells = ["-" if v is None else format(v, FORMS[m]) for v, m in zip(values, metrics, strict=True)]
         rows.append(_row(results, key, cells))
@@ -131,16 +139,15 @@ def time_table(results: Results) -> dict[str, Any]:
     """Percentiles of frames, and medians of passes, in milliseconds: `columns`, and `rows` of the methods."""
     times = results.found["time"]
     passes = list(dict.fromkeys(name for row in times for name in row["passes"]))
-    compared = any("over_ours" in row for row in times)
     rows = []
     for row in times:
         cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in _PERCENTILES]
         cells[0] = with_range(row["ms"]["p50"], row.get("ms_range"), ".0f")
-        cells += [f"{row['over_ours']:.2f}" if "over_ours" in row else "-"] if compared else []
+        cells += [with_range(row["over_ours"], row["over_ours_range"], ".2f")]
         cells += [f"{1000 / row['ms']['p50']:.1f}" if row["ms"]["p50"] > 0 else "-", str(row["repeats"])]
         cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in passes]
         rows.append(_row(results, Key.of(row), cells))
-    columns = [*_PERCENTILES, *(["/ ours"] if compared else []), "FPS", "frames", *passes]
+    columns = [*_PERCENTILES, "/ ours", "FPS", "frames", *passes]
     return {"columns": columns, "rows": rows}
 
 
@@ -151,10 +158,11 @@ def _row(results: Results, key: Key, cells: list[str]) -> dict[str, Any]:
 
 def _viewer(results: Results, folder: Path) -> dict[str, Any]:
     labels = {key: results.label(key) for key in results.keys}
+    views = [row for row in results.found["views"] if (folder / image_name(row["view"], None)).exists()]
     return {
-        "views": results.views,
-        "images": [embedded_images(folder, view, labels) for view in results.views],
-        "flips": [embedded_flips(folder, view, labels) for view in results.views],
+        "views": [f"{row['view'] + 1}, {row['kind']}" for row in views],
+        "images": [embedded_images(folder, row["view"], labels) for row in views],
+        "flips": [embedded_flips(folder, row["view"], labels) for row in views],
         "left": OURS_KEY.label,
         "right": "reference",
     }
@@ -162,9 +170,10 @@ def _viewer(results: Results, folder: Path) -> dict[str, Any]:
 
 def embedded_images(folder: Path, view: int, labels: dict[Key, str]) -> dict[str, str]:
     """Data URLs of a view's frames by their labels, the reference first."""
-    files = {"reference": image_name(view, None)}
-    files |= {label: image_name(view, key) for key, label in labels.items()}
-    return {label: _data_url(folder / file) for label, file in files.items()}
+    files = {"reference": folder / image_name(view, None)}
+    # At equal time, a baseline may have no frame of a view.
+    files |= {label: folder / image_name(view, key) for key, label in labels.items()}
+    return {label: _data_url(file) for label, file in files.items() if file.exists()}
 
 
 def embedded_flips(folder: Path, view: int, labels: dict[Key, str]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from hybrid.measure.image_metrics import SSIM_MARGIN, plain_regions
 from hybrid.render.frame_settings import EVALUATION, MOST_SPP, FrameSettings
 
 # References have this many times the samples in the disc, where differences are smallest and most visible.
-FOVEAL_REFERENCE = 8
+FOVEAL_REFERENCE = 2
 # Baselines are tuned on frames with sides smaller by this.
 TUNING_REDUCTION = 2
 # Smaller images have no level in FovVideoVDP's pyramid, and denser displays hundreds.
@@ -26,9 +26,14 @@ class EvaluationSettings:
     Attributes:
         frame: settings of the hybrid frames; views set the camera, and methods how the fovea is made.
         width, height: frame size in pixels.
-        views: number of views.
+        views: number of views between those of a training.
+        apart: number of views beyond the prepared region, and of wider ones, which are shown apart.
+        seeds: frames per method and view whose noise is independent; their quality is averaged.
         reference_spp: samples per pixel of the references; FOVEAL_REFERENCE times as many in the disc.
-        repeats: timed frames per method.
+        denoised_references: whether references are denoised; otherwise no denoiser has touched them.
+        repeats: timed frames per method and view.
+        quick: only baselines at equal time; neither those at equal rays, nor frames of other sample counts
+            or without a part, nor views apart. What is left has as many samples and views.
         seed: same seed, same quality on the same machine; from 0 to compose.base.errors.MOST_SEED.
 
     Raises:
@@ -39,16 +44,22 @@ class EvaluationSettings:
     frame: FrameSettings = EVALUATION
     width: int = 512
     height: int = 512
-    views: int = 5
-    reference_spp: int = 32
-    repeats: int = 300
+    views: int = 20
+    apart: int = 3
+    seeds: int = 3
+    reference_spp: int = 384
+    denoised_references: bool = True
+    repeats: int = 8
+    quick: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
         as_plain_numbers(self)
-        for name in ("width", "height", "views", "reference_spp", "repeats"):
+        for name in ("width", "height", "views", "seeds", "reference_spp", "repeats"):
             if getattr(self, name) <= 0:
                 raise UserError(f"{name.replace('_', '-')} {getattr(self, name)}: must be positive")
+        if self.apart < 0:
+            raise UserError(f"apart {self.apart}: must not be negative")
         most = MOST_SPP // FOVEAL_REFERENCE
         if self.reference_spp > most:
             raise UserError(f"reference-spp {self.reference_spp}: must be at most {most}")

@@ -22,7 +22,7 @@ from compose.image.colour import Image, luminance
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import Journal, measured_identity, short_hash
 from hybrid.base.progress import Steps
-from hybrid.evaluation.methods import FullTrace
+from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.moving_bench import BETWEEN_EYES, HYBRID, SPLATS, TRACED
 from hybrid.evaluation.temporal_baselines import Svgf, TemporalAntialiasing, TracedFrame
 from hybrid.measure.perceptual_metrics import jod, jod_of_video

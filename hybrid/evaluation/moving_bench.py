@@ -18,9 +18,9 @@ from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
-from hybrid.base.progress import Steps
+from hybrid.base.progress import Steps, no_progress
 from hybrid.evaluation.baselines_traced import enlarged
-from hybrid.evaluation.equal_cost import at_equal_time
+from hybrid.evaluation.equal_cost import rays_at_equal_time
 from hybrid.evaluation.last_frame import LastFrameRenderer
 from hybrid.evaluation.methods import HybridMethod
 from hybrid.measure.frame_times import percentiles, ratio_of_medians
@@ -203,7 +203,10 @@ class _Methods:
         # Path-traced frames that take as long as the hybrid's, if any do.
         family = partial(enlarged, renderer.tracer_of(Integrator.CACHED), 1, denoised=True)
         ours = HybridMethod(renderer, settings)
-        rays = at_equal_time(family, ours, [View(camera)], settings.gaze, _RAYS)
+        found = rays_at_equal_time(
+            {TRACED: family}, ours, View(camera), settings.gaze, {TRACED: _RAYS}, no_progress
+        )
+        rays = found[TRACED]
         if rays is not None:
             render = family(rays).render
             self._methods[TRACED] = lambda shown, seed: (

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,8 +19,7 @@ import numpy as np
 import torch
 
 from compose.image.colour import Image
-from hybrid.evaluation.results import half_name
-from hybrid.measure.frame_quality import Viewer, metric_rows, tie_metrics
+from hybrid.measure.frame_quality import Viewer, metric_rows
 from hybrid.measure.image_metrics import ImageRegion
 from hybrid.measure.perceptual_metrics import flip_map
 from hybrid.render.image_files import write_srgb
@@ -33,15 +32,15 @@ Rows = list[dict[str, Any]]
 class ScoringTask:
     """An image to score: the method that made it, and what it is compared with, (H, W, 3) linear radiance.
 
-    It is compared with the reference's halves as well. The FLIP map goes to a file unless that is None.
+    The metrics are those that are wanted; the FLIP map goes to a file unless that is None.
     """
 
     method: str
     image: Image
     reference: Image
-    halves: tuple[Image, ...]
     regions: dict[str, ImageRegion]
     viewer: Viewer
+    metrics: tuple[str, ...]
     flip_file: Path | None
 
 
@@ -55,27 +54,31 @@ def score(task: ScoringTask) -> Rows:
 
             # The colours of FLIP's authors.
             write_srgb(task.flip_file, np.asarray(colormaps["magma"](error, bytes=True)[..., :3]))
-    rows: Rows = metric_rows(task.image, task.reference, task.regions, task.viewer, task.method, error)
-    for number, half in enumerate(task.halves, 1):
-        for row in tie_metrics(task.image, half, task.regions, task.viewer):
-            rows.append({**row, "metric": half_name(str(row["metric"]), number)})
-    return rows
+    compared = task.image, task.reference, task.regions, task.viewer
+    return metric_rows(*compared, task.method, error, task.metrics)
 
 
-def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tuple[str, Rows]]:
-    """Names of tasks, which are consumed a few ahead, and the results of `score`, in the same order."""
+@contextmanager
+def scorers() -> Iterator[Callable[[Iterable[ScoringTask]], Iterator[Rows]]]:
+    """A function that scores tasks, which it consumes a few ahead, and yields their rows in the same order.
+
+    Its processes wait between calls, without taking any time.
+    """
     workers = len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker)
-    waiting: deque[tuple[str, Future[Rows]]] = deque()
-    try:
-        for name, task in tasks:
+
+    def scored(tasks: Iterable[ScoringTask]) -> Iterator[Rows]:
+        waiting: deque[Future[Rows]] = deque()
+        for task in tasks:
             with _program_left_alone():
-                waiting.append((name, pool.submit(score, task)))
+                waiting.append(pool.submit(score, task))
             if len(waiting) > 2 * workers:
-                name, rows = waiting.popleft()
-                yield name, rows.result()
-        for name, rows in waiting:
-            yield name, rows.result()
+                yield waiting.popleft().result()
+        for one in waiting:
+            yield one.result()
+
+    try:
+        yield scored
     finally:
         pool.shutdown(cancel_futures=True)
 

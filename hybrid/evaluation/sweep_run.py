@@ -15,7 +15,7 @@ from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import Journal, machine, measured_identity, short_hash
-from hybrid.base.parts import Part, StoredPart, begin, parts_in
+from hybrid.base.parts import Part, StoredPart, begin, machine_of, parts_in
 from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
@@ -123,12 +123,10 @@ def merged_sweep(shared: Path) -> dict[str, Any]:
         if not (head := results.pop(_HEAD, {})):
             raise UserError(f"{one.folder / _ROWS}: is missing; remove {one.folder.name} and run it again")
         by_group |= {int(number): rows for number, rows in results.items()}
-    own = {}
-    for name, first in parts[0].machine.items():
-        values = {str(one.machine.get(name)) for one in parts}
-        own[name] = first if len(values) == 1 else ", ".join(sorted(values))
-    content = {**head, "machine": {**own, **parts[0].identity["machine"]}}
-    return with_rows(content, [row for number in sorted(by_group) for row in by_group[number]])
+    return with_rows(
+        {**head, "machine": machine_of(parts)},
+        [row for number in sorted(by_group) for row in by_group[number]],
+    )
 
 
 def with_rows(content: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:

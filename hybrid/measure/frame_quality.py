@@ -16,6 +16,7 @@ from compose.image.colour import Image
 from hybrid.base.identity import installed_version
 from hybrid.measure.image_metrics import (
     REGIONS,
+    SSIM_MARGIN,
     SSIM_WINDOW,
     ImageRegion,
     checked_pair,
@@ -57,8 +58,9 @@ def metric_rows(
     viewer: Viewer,
     name: str = "the frame",
     whole_flip: Map | None = None,
+    wanted: Iterable[str] = METRICS,
 ) -> list[dict[str, float | str]]:
-    """Rows of region, metric and value, for all installed metrics that have a value there.
+    """Rows of region, metric and value, for all wanted metrics that are installed and have a value there.
 
     Errors outside a region do not count: there the image is replaced by the reference, and only the region's
     pixels of SSIM and FLIP maps are averaged. LPIPS and FovVideoVDP see a crop of the foveal region; of the
@@ -74,26 +76,7 @@ def metric_rows(
     return [
         {"region": region.name, "metric": metric, "value": float(value)}
         for region in regions.values()
-        for metric, value in region_metrics(image, reference, region, viewer, whole_flip=whole_flip).items()
-    ]
-
-
-def tie_metrics(
-    image: Image, half: Image, regions: dict[str, ImageRegion], viewer: Viewer
-) -> list[dict[str, float | str]]:
-    """Rows as of `metric_rows`, against half of a reference's samples, from which ties are told.
-
-    These are the metrics that methods are compared by: JOD and FLIP of the fovea, PSNR and SSIM if neither is
-    installed, and SSIM of the whole frame.
-    """
-    fovea, whole = regions["foveal"], regions["whole"]
-    perceptual = region_metrics(image, half, fovea, viewer, ("jod", "flip"))
-    of_fovea = perceptual or region_metrics(image, half, fovea, viewer, ("psnr", "ssim"))
-    found = {fovea.name: of_fovea, whole.name: region_metrics(image, half, whole, viewer, ("ssim",))}
-    return [
-        {"region": region, "metric": name, "value": value}
-        for region, values in found.items()
-        for name, value in values.items()
+        for metric, value in region_metrics(image, reference, region, viewer, wanted, whole_flip).items()
     ]
 
 
@@ -102,7 +85,7 @@ def region_metrics(
     reference: Image,
     region: ImageRegion,
     viewer: Viewer,
-    wanted: Iterable[str] = METRICS,
+    wanted: Iterable[str],
     whole_flip: Map | None = None,
 ) -> dict[str, float]:
     """The wanted metrics of one region, in that order, as far as `metric_rows` has them."""
@@ -110,19 +93,26 @@ def region_metrics(
     cropped = region.name == "foveal"
     box = region.box if cropped else np.s_[:, :]
     gaze = region.gaze_within(viewer.gaze) if cropped else viewer.gaze
-    map_of_ssim = cache(lambda: ssim_map(alone, reference))
+
+    def near(reach: int) -> tuple[slice, ...]:
+        """The region's box, and as far around it as a filter reaches."""
+        return tuple(slice(max(0, side.start - reach), side.stop + reach) for side in region.box)
+
+    @cache
+    def map_of_ssim() -> Map:
+        return ssim_map(alone[near(SSIM_MARGIN)], reference[near(SSIM_MARGIN)])
 
     def mean_ssim(weight: Map) -> float | None:
-        if min(alone.shape[:2]) < SSIM_WINDOW or not has_valid(weight):
+        own = weight[near(SSIM_MARGIN)]
+        if min(own.shape) < SSIM_WINDOW or not has_valid(own):
             return None
-        return valid_mean(map_of_ssim(), weight)
+        return valid_mean(map_of_ssim(), own)
 
     def mean_near(metric: Callable[[Image, Image, float], Map | None]) -> float | None:
-        """Mean of a FLIP map over the region, computed no further than FLIP's filters reach."""
-        reach = flip_reach(density)
-        near = tuple(slice(max(0, side.start - reach), side.stop + reach) for side in region.box)
-        error = metric(alone[near], reference[near], density)
-        return None if error is None else float(error[region.mask[near]].mean())
+        """Mean of a FLIP map over the region."""
+        place = near(flip_reach(density))
+        error = metric(alone[place], reference[place], density)
+        return None if error is None else float(error[region.mask[place]].mean())
 
     def flip() -> float | None:
         if region.name == "whole" and whole_flip is not None:

@@ -26,8 +26,8 @@ _STEP = 1e-3
 class Reference:
     """What frames of a view are compared with: the mean, (H, W, 3) linear, of two independent halves.
 
-    Each half is denoised on its own. The errors (H, W) are an unbiased estimate of the radiance's squared
-    error in sRGB; noisy, at times negative.
+    Each half is denoised on its own, or not at all. The errors (H, W) are an unbiased estimate of the
+    radiance's squared error in sRGB; noisy, at times negative.
     """
 
     radiance: Image
@@ -36,9 +36,9 @@ class Reference:
 
     @staticmethod
     def of_halves(halves: tuple[Image, Image], parts: list[list[Image]]) -> Reference:
-        """The mean of two denoised halves, with its error, denoising bias included.
+        """The mean of two halves, with its error, the bias of denoising included.
 
-        For samples a and b, independent of a denoised image d and of each other, the mean of (a - d)(b - d)
+        For samples a and b, independent of an image d and of each other, the mean of (a - d)(b - d)
         is the squared error of d, because their noise cancels. Each half is compared with the samples of the
         other one. Averaging the halves removes half of their variance, which is a quarter of their squared
         difference. The parts are two independent noisy estimates (H, W, 3) from each half's samples.
@@ -67,18 +67,20 @@ class Reference:
         return psnr_of_error(self.squared_error(where))
 
 
-def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
+def reference(
+    tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, denoised: bool = True
+) -> Reference:
     """A reference of `spp` samples per pixel in total, one number or (H * W,); ValueError below 4."""
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
-    (first, its_parts), (second, others) = (_half(tracer, camera, spp, seed, n) for n in range(2))
+    (first, its_parts), (second, others) = (_half(tracer, camera, spp, seed, n, denoised) for n in range(2))
     return Reference.of_halves((first, second), [its_parts, others])
 
 
 def _half(
-    tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int
+    tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int, denoised: bool
 ) -> tuple[Image, list[Image]]:
-    """Half of a reference's samples: denoised (H, W, 3), and as two noisy parts (H, W, 3)."""
+    """Half of a reference's samples: (H, W, 3), denoised if asked for, and as two noisy parts (H, W, 3)."""
     positions, size = frame_positions(camera), (camera.height, camera.width)
     # A quarter of the samples each; where they do not divide evenly, counts differ by one.
     first, middle, last = (spp * (2 * number + part) // _PARTS for part in range(3))
@@ -87,9 +89,11 @@ def _half(
         radiance_image(tracer, camera, positions, camera.width, count, part_seed)
         for count, part_seed in zip((middle - first, last - middle), seeds, strict=True)
     ]
+    share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
+    mean = parts[0] + (parts[1] - parts[0]) * share.reshape(*size, 1).astype(np.float32)
+    if not denoised:
+        return mean, parts
     auxiliary = auxiliary_images(
         tracer, camera, positions, camera.width, auxiliary_spp(int(np.max(spp))), seeds[0]
     )
-    share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
-    mean = parts[0] + (parts[1] - parts[0]) * share.reshape(*size, 1).astype(np.float32)
     return TracedImage(mean, *auxiliary).denoised(), parts

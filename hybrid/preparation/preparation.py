@@ -35,7 +35,7 @@ from hybrid.preparation.stage_frames import (
 )
 from hybrid.preparation.stage_planner import PROBED, JobClock, Planner
 from hybrid.preparation.stages import GLIMPSE, LIVE, PreparationSettings, Stage
-from hybrid.render.forest_attachments import plan_of_forest, scene_as_trained
+from hybrid.render.forest_attachments import attach_seconds, plan_of_forest, scene_as_trained
 from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
@@ -289,6 +289,7 @@ class _Job:
                 examples = capture(self.scene, self.folder / "fusion", settings, bar, cache)
             with self.bars("fusion (steps)") as bar:
                 forest = with_fusion(examples, forest, seed, bar)
+        forest = attach_seconds(forest, self.planner.clock.seconds())
         save_forest(path, forest)
         return forest
 

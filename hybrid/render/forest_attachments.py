@@ -16,10 +16,11 @@ from compose.camera.camera import Camera
 from compose.fusion.network import Fusion
 from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
 from pathtrace.trace.path_depths import UNBOUNDED
-from splat.model.forest import Forest
+from splat.model.forest import ABOUT, Forest
 
-# Names of what is attached: a prefix for the network's state, the plan, the table of views, and errors.
+# Names of what is attached: a prefix for the network's state, the plan, the table of views, errors, seconds.
 _FUSION, _PLAN, _VIEWS, _ERRORS = "fusion.", "plan.json", "views.cameras", "errors.coarsest"
+_SECONDS = ABOUT + "seconds"
 # Of each view width, height, focal lengths and principal point, then the world-to-camera transform.
 _NUMBERS = 6 + 16
 
@@ -139,3 +140,16 @@ def errors_of(forest: Forest) -> torch.Tensor | None:
     if steps.dtype != torch.uint8 or steps.shape != (forest.counts[0],):
         raise UserError("the forest's expected errors are damaged; train the forest again")
     return torch.where(steps == _NO_ERROR, 0.0, torch.exp2(steps.float() / -_STEPS_PER_OCTAVE))
+
+
+def attach_seconds(forest: Forest, seconds: float) -> Forest:
+    """The forest with the time that its preparation took."""
+    return replace(
+        forest, attached=forest.attached | {_SECONDS: torch.tensor([seconds], dtype=torch.float64)}
+    )
+
+
+def seconds_of(forest: Forest) -> float | None:
+    """The seconds that the preparation of a forest took; None if it does not say."""
+    found = forest.attached.get(_SECONDS)
+    return None if found is None or found.numel() != 1 else float(found)

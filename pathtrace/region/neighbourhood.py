@@ -6,7 +6,7 @@ Captures are trained and measured on such views; those of a scene that moves hav
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -29,6 +29,9 @@ _YAW, _PITCH = 20.0, 10.0  # largest turns, degrees to either side
 # did not overlap would show nothing twice.
 _NARROW = 0.3
 _TRIES_PER_VIEW = 200
+# How far views from beyond the neighbourhood are from the scene's own camera, in units of its radius, and by
+# how much wider than others wide ones are, in tangents, up to a largest one.
+_BEYOND, _WIDER, _WIDEST = (1.5, 2.5), 1.6, 2.0
 # Sizes of a camera's path that are tried, in units of the reach, and the share of the largest yaw by which it
 # looks back to the middle from either end.
 _SWAYS, _LOOKS_BACK = (0.7, 0.4, 0.2, 0.1, 0.05), 0.4
@@ -109,6 +112,24 @@ class Neighbourhood:
                 f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
                 "around the scene's camera; ask for fewer views"
             )
+        return found
+
+    def beyond(self, count: int, apart_from: Array, seed: int) -> list[Camera]:
+        """Views from outside the neighbourhood, none near positions (N, 3); fewer than asked for if need be.
+
+        Views near positions are those within half a radius.
+        """
+        rng = np.random.default_rng([seed, count])
+        found: list[Camera] = []
+        for _ in range(count * _TRIES_PER_VIEW):
+            direction, shares = rng.normal(size=3), rng.uniform(-1, 1, 2) * self.share
+            offset = direction / np.linalg.norm(direction) * self.radius * rng.uniform(*_BEYOND)
+            view = _moved(self.home, offset, *shares)
+            distances = np.linalg.norm(apart_from - view.position, axis=1)
+            if distances.min(initial=np.inf) > self.radius / 2 and self._is_usable(view):
+                found.append(view)
+            if len(found) == count:
+                break
         return found
 
     def path(self, shares: Sequence[float]) -> list[Camera]:
@@ -196,6 +217,22 @@ def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View
     neighbourhood = Neighbourhood(scene, scene.surfaces(), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
     return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
+
+
+def views_beyond(scene: Scene, trained: Sequence[Camera], count: int, width: int, height: int) -> list[View]:
+    """Views from beyond the neighbourhood and away from those of a training; at most `count`."""
+    neighbourhood = Neighbourhood(scene, scene.surfaces(), width, height)
+    positions = np.array([camera.position for camera in trained]).reshape(-1, 3)
+    cameras = neighbourhood.beyond(count, positions, UNSEEN_SEED)
+    return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
+
+
+def wider(view: View) -> View:
+    """The view with a field of view that is wider than that of any training view; as wide, if it is huge."""
+    camera = view.camera
+    half = max(camera.width / camera.fx, camera.height / camera.fy) / 2
+    factor = max(1.0, min(_WIDER, _WIDEST / half))
+    return replace(view, camera=replace(camera, fx=camera.fx / factor, fy=camera.fy / factor))
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:

@@ -24,6 +24,9 @@ from splat.model.motion import Dynamics
 from splat.model.points import rows_of, z_curve_order
 from splat.model.trees import Layer, concatenated_layers
 
+# What is attached under names with this prefix says how a forest was made; its hash does not depend on that.
+ABOUT = "about."
+
 
 @dataclass(frozen=True)
 class Forest:
@@ -109,7 +112,7 @@ class Forest:
         return self.trained_focal / 2 ** (len(self.counts) - layer)
 
     def digest(self) -> str:
-        """Hash of the Gaussians, their place and blending, and the attached tensors."""
+        """Hash of the Gaussians, their place and blending, and the attached tensors but those of ABOUT."""
         # Forests in world coordinates, and those that are blended linearly, keep their earlier hash.
         place = (self.place,) if self.place != WORLD else ()
         blending = self.nodes.gaussians.blending
@@ -119,7 +122,7 @@ class Forest:
         light = () if self.light is None else tuple(self.light.tensors().values())
         own = self.nodes.gaussians.every_tensor()
         # Files do not keep their order.
-        attached = [self.attached[name] for name in sorted(self.attached)]
+        attached = [self.attached[name] for name in sorted(self.attached) if not name.startswith(ABOUT)]
         for tensor in [*own, *attached, *motion, *light]:
             state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
         return state.hexdigest()[:16]
