@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks.hard_scenes import SCENES
 from compose.eye.acuity import DEFAULT_ACUITY_MODEL
+from hybrid.evaluation.sweep_catalogue import with_range
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "measured" / "data"
@@ -25,6 +26,8 @@ _BLOCK = re.compile(r"(<!-- figures (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _MODES = ("raw", "denoised", "fused")
 _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
 _DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
+# Of an evaluation, by region and metric.
+EVALUATED = ("whole ssim", "whole jod", "foveal psnr", "foveal flip", "foveal jod")
 # Decibels from which on pictures count as the same.
 _EXACT = 119.0
 Row = dict[str, Any]
@@ -166,17 +169,30 @@ def paths() -> str:
 
 def evaluation() -> str:
     """Means over the views of each method, whole frame and fovea, and the verdicts in words."""
-    from hybrid.evaluation.results import Results, verdicts
+    rows, below = [], []
+    for found in result_rows("evaluation"):
+        for one in found["methods"]:
+            cells = [_known(one["means"][name], f".{_DIGITS[name.split()[1]]}f") for name in EVALUATED]
+            time = with_range(one["over_ours"], one["over_ours_range"], ".2f")
+            rows.append(" | ".join([one["label"], f"{one['ms']['p50']:.0f}", time, *cells]))
+        below += [f"- {line}" for line in found["sentences"]]
+    header = " | ".join(["method | ms | / ours", *(_named(name) for name in EVALUATED)])
+    return _table(header, rows, "evaluation", below="\n".join(below))
 
-    found = Results(result("evaluation"))
-    columns = [("whole", "ssim"), ("whole", "jod"), ("foveal", "psnr"), ("foveal", "flip"), ("foveal", "jod")]
-    rows = []
-    for key in found.keys:
-        cells = [_known(found.mean(key, *column), f".{_DIGITS[column[1]]}f") for column in columns]
-        rows.append(" | ".join([found.label(key), _known(found.times.get(key), ".0f"), *cells]))
-    header = " | ".join(["method | ms", *(f"{region} {_METRICS[metric]}" for region, metric in columns)])
-    below = "\n".join(f"- {line}" for line in verdicts(found.found))
-    return _table(header, rows, "evaluation", below=below)
+
+def preparation() -> str:
+    """What methods need before their first frame."""
+    rows = [
+        f"{row['method']} | {_known(row['seconds'], '.0f')} | {_known(row['frames_to_pay'], ',')}"
+        for found in result_rows("evaluation")
+        for row in found["preparation"]
+    ]
+    return _table("method | s | frames to pay", rows, "evaluation")
+
+
+def _named(column: str) -> str:
+    region, metric = column.split()
+    return f"{region} {_METRICS[metric]}"
 
 
 def integrators() -> str:
@@ -386,22 +402,19 @@ def _break_even() -> tuple[str, str]:
 
 
 def _against_baselines() -> tuple[str, str]:
-    from hybrid.evaluation.results import OURS_KEY, Results
-
-    found = Results(result("evaluation"))
+    (found,) = result_rows("evaluation")
     texts = []
-    for region, metric in (("whole", "ssim"), ("foveal", "flip"), ("foveal", "jod")):
-        ours = found.mean(OURS_KEY, region, metric)
-        others = {key: found.mean(key, region, metric) for key in found.affordable_baselines()}
-        known = {key: value for key, value in others.items() if value is not None}
-        if ours is None or not known:
-            continue
-        best = (min if metric == "flip" else max)(known, key=lambda key: known[key])
+    for name in ("whole ssim", "foveal flip", "foveal jod"):
+        known = {one["method"]: one["means"][name] for one in found["methods"] if one["affordable"]}
+        known = {method: value for method, value in known.items() if not method.startswith("hybrid")}
+        ours = next(one["means"][name] for one in found["methods"] if one["method"] == "hybrid, fused")
+        best = (min if "flip" in name else max)(known, key=lambda method: known[method])
+        region, metric = name.split()
         form = f".{_DIGITS[metric]}f"
-        texts.append(
-            f"{region} {metric.upper()} {ours:{form}}, best baseline ({best.method}) {known[best]:{form}}"
-        )
-    what = "`room`, 512x512, means over the views: a fused frame against baselines at equal time"
+        texts.append(f"{region} {metric.upper()} {ours:{form}}, best baseline ({best}) {known[best]:{form}}")
+    settings = found["settings"]
+    size = f"{settings['width']}x{settings['height']}"
+    what = f"`room`, {size}, means over {found['views']} views: a fused frame against baselines at equal time"
     return what, "; ".join(texts)
 
 
@@ -474,7 +487,7 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
 )
 _MADE = (
     *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators, periphery, levels),
-    *(acuity, studies, frames, raster, window, late_warp, remote, stored, colmap),
+    *(preparation, acuity, studies, frames, raster, window, late_warp, remote, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},

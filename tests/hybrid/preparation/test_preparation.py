@@ -17,7 +17,7 @@ from hybrid.preparation.decisions import FIXED_GAUSSIANS, GAUSSIANS, REGION, SAM
 from hybrid.preparation.preparation import Staged, prepare
 from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings
-from hybrid.render.forest_attachments import fusion_of, plan_of_forest
+from hybrid.render.forest_attachments import fusion_of, plan_of_forest, seconds_of
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
@@ -68,6 +68,7 @@ def test_from_nothing_to_a_forest(whole):
     assert newest is not None
     assert len(read_frame_set(folder / "fusion").held_out) == 3
     assert prepared.forest.digest() == load_forest(folder / "forest.safetensors").digest()
+    assert facts["curve"][-1]["seconds"] < seconds_of(prepared.forest) <= facts["seconds"]
 
 
 @pytest.mark.parametrize(("region", "least", "most"), [("near", 250, 250), ("reachable", 251, 12 * 250)])

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
-from hybrid.render.forest_attachments import attach_views, views_of
+from hybrid.render.forest_attachments import attach_seconds, attach_views, seconds_of, views_of
 from splat.io.forest_file import load_forest, save_forest
 from tests.hybrid.forests import white_dot
 
@@ -42,3 +42,13 @@ def test_a_view_that_is_not_finite_is_refused(scene):
     forest.attached["views.cameras"][0, 0] = float("inf")
     with pytest.raises(UserError, match="train the forest again"):
         views_of(forest)
+
+
+def test_how_long_a_preparation_took_does_not_make_another_forest(tmp_path):
+    dot = white_dot((0, 0, 1))
+    assert seconds_of(dot) is None
+    timed = attach_seconds(dot, 81.25)
+    save_forest(tmp_path / "f", timed)
+    back = load_forest(tmp_path / "f")
+    assert seconds_of(back) == 81.25
+    assert back.digest() == timed.digest() == dot.digest()

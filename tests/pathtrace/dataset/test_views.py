@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pathtrace.region.neighbourhood as module
 from compose.base.errors import UserError
-from compose.camera.camera import Camera
-from pathtrace.region.neighbourhood import choose_views, unseen_views
+from compose.camera.camera import Camera, View
+from pathtrace.region.neighbourhood import Neighbourhood, choose_views, unseen_views, views_beyond, wider
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.scene.triangles import Surfaces
 from tests import small
@@ -142,6 +144,44 @@ def test_unseen_views_are_no_training_views(room):
     for seed in range(3):
         views = choose_views(scene, surfaces, 20, 32, 32, seed)
         assert not set(keys(unseen)) & set(keys(views.fixed + views.spread))
+
+
+def test_views_beyond_are_outside_the_neighbourhood_and_away_from_training_views(room):
+    scene, surfaces = room
+    around = Neighbourhood(scene, surfaces, 32, 32)
+    found = views_beyond(scene, [], 6, 32, 32)
+    assert len(found) == 6
+    assert keys(found) == keys(views_beyond(scene, [], 6, 32, 32))
+    distances = [np.linalg.norm(view.camera.position - around.home.position) for view in found]
+    assert around.radius * 1.5 <= min(distances)
+    assert max(distances) <= around.radius * 2.5
+    # A forest that was trained at the first of them knows what is near it.
+    others = views_beyond(scene, [found[0].camera], 6, 32, 32)
+    assert found[0].key not in keys(others)
+    away = [np.linalg.norm(view.camera.position - found[0].camera.position) for view in others]
+    assert min(away) > around.radius / 2
+
+
+def test_there_are_no_views_beyond_where_training_was_everywhere(room, monkeypatch):
+    scene, surfaces = room
+    monkeypatch.setattr(module, "_TRIES_PER_VIEW", 20)
+    around = Neighbourhood(scene, surfaces, 32, 32)
+    everywhere = np.stack(np.meshgrid(*[np.arange(-3, 3.1, 0.25)] * 3), axis=-1).reshape(-1, 3)
+    assert around.beyond(2, around.home.position + everywhere * around.radius, 0) == []
+
+
+@pytest.mark.parametrize("fov", [10.0, 60.0, 100.0, 150.0])
+def test_wider_views_see_more_up_to_a_bound(room, fov):
+    scene, _ = room
+    camera = scene.camera.resized(48, 32)
+    focal = 24 / np.tan(np.radians(fov) / 2)
+    view = View(replace(camera, fx=focal, fy=focal), 0.25)
+    wide = wider(view)
+    assert wide.time == 0.25
+    np.testing.assert_array_equal(wide.camera.world_to_camera, camera.world_to_camera)
+    assert wide.camera.fx / wide.camera.fy == pytest.approx(1)
+    half = 24 / wide.camera.fx
+    assert half == pytest.approx(max(24 / focal, min(1.6 * 24 / focal, 2.0)))
 
 
 def test_more_views_than_fit_are_refused(room, monkeypatch):
