@@ -83,18 +83,19 @@ def verdict(differences: Sequence[float], metric: str) -> tuple[Interval, str]:
 
 
 def verdict_rows(found: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Rows of scene, display, views, region, metric, baseline, budget, difference, low, high and verdict.
+    """Rows of scene, display, views, region, metric, baseline, budget, difference, low, high, lead, verdict.
 
-    One for each kind of views, region, metric of MARGINS and method but ours, as far as they were measured;
-    of the content of evaluation.json. Whatever the views say, a pair is UNDECIDED if the references of its
-    region do not lead by LEAD.
+    There is one for each kind of views, region, metric of MARGINS and method but ours, as far as they were
+    measured; of the content of evaluation.json. The lead is that of the region's references, in dB: whatever
+    the views say, a pair is UNDECIDED below LEAD.
     """
     results = Results(found)
     rows = []
     for kind, region, metric, key in _measured(results):
         differences = results.differences(key, region, metric, kind)
         interval, says = verdict(differences, metric)
-        if _lead(results, key, region, kind) < LEAD:
+        lead = _lead(results, key, region, kind)
+        if lead < LEAD:
             says = UNDECIDED
         rows.append(
             {
@@ -108,6 +109,7 @@ def verdict_rows(found: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "difference": interval.mean,
                 "low": interval.low,
                 "high": interval.high,
+                "lead": lead,
                 "verdict": says,
             }
         )
@@ -143,13 +145,17 @@ def display_name(found: Mapping[str, Any]) -> str:
     return f"{found['settings']['width']}x{found['settings']['height']}, {density:.0f} pixels per degree"
 
 
+# Why nothing is decided, in sentences.
+_NOT_LED = "not led"
 # Bad news first.
 _SENTENCES = {
     BEHIND: "{} is behind {}.",
-    UNDECIDED: "{} cannot be told from {}: the views or the references do not suffice.",
+    UNDECIDED: "{} cannot be told from {}: the views do not suffice.",
+    _NOT_LED: "{} cannot be told from {}: the references are not close enough to the truth.",
     EQUAL: "{} equals {}.",
     AHEAD: "{} is ahead of {}.",
 }
+_DIGITS = {"psnr": 1, "ssim": 3, "flip": 3, "jod": 2}
 _WHERE = {"whole": "over the whole frame", "foveal": "in the fovea"}
 _KINDS = {NEAR: "", "beyond": " from beyond the prepared region", "wide": " wider than any training view"}
 
@@ -169,24 +175,33 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
 
 
 def _compared(results: Results, start: str, rows: list[dict[str, Any]]) -> list[str]:
-    """A sentence per verdict on baselines that cost no more than our frame, with differences."""
-    affordable = results.affordable_baselines()
-    by_verdict: dict[str, list[str]] = {says: [] for says in _SENTENCES}
-    for row in rows:
-        key = Key(row["baseline"], row["budget"])
-        if key in affordable:
-            missed = results.missed_time(key)
-            texts = [f"{row['difference']:+.3g}"]
-            if np.isfinite([row["low"], row["high"]]).all():
-                texts.append(f"{row['low']:+.3g} to {row['high']:+.3g}")
-            texts += [f"{missed} than the hybrid frame"] if missed else []
-            by_verdict[row["verdict"]].append(f"{key.method} ({'; '.join(texts)})")
+    """Sentences on baselines that cost no more than our frame, then on our frame without one of its parts."""
     if not rows:
         return []
-    what = f"{start}, by {METRIC_NAMES[rows[0]['metric']]}, the hybrid frame"
-    return [
-        text.format(what, listed(by_verdict[says])) for says, text in _SENTENCES.items() if by_verdict[says]
-    ]
+    affordable = results.affordable_baselines()
+    form = f"+.{_DIGITS[rows[0]['metric']]}f"
+    lines = []
+    for of_parts in (False, True):
+        by_verdict: dict[str, list[str]] = {says: [] for says in _SENTENCES}
+        for row in rows:
+            key = Key(row["baseline"], row["budget"])
+            if key not in affordable or key.method.startswith("hybrid") != of_parts:
+                continue
+            missed = results.missed_time(key)
+            texts = [f"{row['difference']:{form}}"]
+            if np.isfinite([row["low"], row["high"]]).all():
+                texts.append(f"{row['low']:{form}} to {row['high']:{form}}")
+            texts += [f"{missed} than the hybrid frame"] if missed else []
+            says = _NOT_LED if row["lead"] < LEAD else row["verdict"]
+            name = key.method.replace("hybrid, ", "one ")
+            by_verdict[says].append(f"{name} ({'; '.join(texts)})")
+        what = f"{start}, by {METRIC_NAMES[rows[0]['metric']]}, the hybrid frame"
+        lines += [
+            text.format(what, listed(by_verdict[says]))
+            for says, text in _SENTENCES.items()
+            if by_verdict[says]
+        ]
+    return lines
 
 
 def _against_rmfr(results: Results) -> list[str]:
