@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 
 import numpy as np
@@ -30,9 +30,9 @@ _TRIALS = 10
 _STEPS = 12
 # Frames before the trials, while kernels are compiled.
 _WARM_UP = 2
-# Time grows by about this power of rays; the longest step in rays without trials on both sides; and how near
-# a guess may come to a trial on either side, as a share of the way between both.
-_POWER, _LONGEST, _NEAREST = 0.8, 8.0, 0.15
+# Time grows by about this power of rays, and by a least one; the longest step in rays without trials on both
+# sides; and how near a guess may come to a trial on either side, as a share of the way between both.
+_POWER, _LEAST_POWER, _LONGEST, _NEAREST = 0.8, 0.05, 8.0, 0.15
 # What is tried: f of RMFR's mapping, samples per pixel, and shares of the rays in a disc.
 _F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 _SPP = (1, 2, 4)
@@ -107,24 +107,30 @@ class _Search:
 
     def _next(self) -> float | None:
         """Rays that should meet our time and have settings that were not tried; None if there are none."""
-        rays, step = self._guess()
-        for _ in range(_STEPS):
-            if str(self._family(rays).settings) not in self._trials:
-                return rays
-            rays *= step
-        return None
+        guesses = (rays for rays in self._guesses() if str(self._family(rays).settings) not in self._trials)
+        return next(guesses, None)
 
-    def _guess(self) -> tuple[float, float]:
-        """Rays that should meet our time, and the factor to the next ones if they change nothing."""
-        below = max((trial for trial in self._trials.values() if trial[1] <= 1), default=None)
-        above = min((trial for trial in self._trials.values() if trial[1] > 1), default=None)
+    def _guesses(self) -> Iterator[float]:
+        """Rays that should meet our time, the most likely first: others may be settings that were tried."""
+        trials = sorted(self._trials.values())
+        below = max((trial for trial in trials if trial[1] <= 1), default=None)
+        above = min((trial for trial in trials if trial[1] > 1), default=None)
         if below is not None and above is not None and below[0] < above[0]:
             low, high = math.log(below[1]), math.log(above[1])
-            share = min(max(-low / (high - low), _NEAREST), 1 - _NEAREST)
-            return below[0] * (above[0] / below[0]) ** share, 1.0
-        rays, ratio = list(self._trials.values())[-1]
-        step = min(max(ratio ** (-1 / _POWER), 1 / _LONGEST), _LONGEST)
-        return rays * step, step
+            likely = min(max(-low / (high - low), _NEAREST), 1 - _NEAREST)
+            shares = np.linspace(0, 1, _STEPS + 2)[1:-1]
+            for share in [likely, *sorted(shares, key=lambda share: abs(share - likely))]:
+                yield below[0] * (above[0] / below[0]) ** float(share)
+            return
+        # The two trials that are nearest to our time say how it grows.
+        (rays, ratio), *others = trials if below is None else trials[::-1]
+        power = _POWER
+        if others and others[0][0] != rays:
+            power = math.log(ratio / others[0][1]) / math.log(rays / others[0][0])
+        step = ratio ** (-1 / max(power, _LEAST_POWER))
+        step = min(max(step, 1 / _LONGEST), _LONGEST)
+        for number in range(1, _STEPS + 1):
+            yield rays * step**number
 
     @property
     def found(self) -> float | None:

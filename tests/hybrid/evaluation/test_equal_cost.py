@@ -2,56 +2,63 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
-from compose.camera.camera import Camera, View
+from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
+from hybrid.base.progress import no_progress
 from hybrid.evaluation import equal_cost as module
 from hybrid.evaluation.baselines import WarpTuning
-from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time, relative_time, tuned
-from hybrid.evaluation.methods import TimedImage
+from hybrid.evaluation.equal_cost import TOLERANCE, rays_at_equal_time, tuned
+from hybrid.evaluation.methods import Family, TimedImage
 from tests import small
-from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly
+from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly, Recorder
+
+
+def met(family: Family, ours: Costly, first: float) -> float | None:
+    """The rays of one family at our time."""
+    found = rays_at_equal_time({"one": family}, ours, VIEW, Gaze(), {"one": first}, no_progress)
+    return found["one"]
 
 
 @pytest.mark.parametrize("fixed", [0.0, 20.0, 90.0])
 @pytest.mark.parametrize("start", [0.02, 0.5, 8.0])
 def test_a_cost_that_can_be_met_is_met(fixed, start):
-    ours = Costly(1.0, 0.0, 100.0)
-    rays = at_equal_time(lambda r: Costly(r, fixed, 100.0), ours, [VIEW], Gaze(), start)
+    rays = met(lambda r: Costly(r, fixed, 100.0), Costly(1.0, 0.0, 100.0), start)
     assert rays is not None
-    assert fixed + 100 * rays == pytest.approx(100, rel=TOLERANCE + 0.005)
+    assert fixed + 100 * rays == pytest.approx(100, rel=TOLERANCE)
 
 
-def test_whole_samples_take_no_longer_than_is_given():
-    ours = Costly(1.0, 0.0, 355.0)
-    rays = at_equal_time(lambda r: Costly(max(1, int(r)), 10.0, 100.0), ours, [VIEW], Gaze(), 0.5)
+def whole(fixed: float, per_ray: float) -> Family:
+    """A family with whole samples per pixel."""
+    return lambda r: Costly(max(1, int(r)), fixed, per_ray)
+
+
+@pytest.mark.parametrize("start", [0.001, 0.5, 6.0])
+def test_whole_samples_take_no_longer_than_is_given(start):
+    """Also from rays that are rounded to the same samples over several steps."""
+    rays = met(whole(10.0, 100.0), Costly(1.0, 0.0, 355.0), start)
     assert rays is not None
     assert int(rays) == 3
 
 
 def test_what_always_takes_longer_has_no_equal():
-    ours = Costly(1.0, 0.0, 50.0)
-    family = lambda r: Costly(max(1, int(r)), 10.0, 100.0)  # noqa: E731
-    assert at_equal_time(family, ours, [VIEW], Gaze(), 0.5) is None
+    assert met(whole(10.0, 100.0), Costly(1.0, 0.0, 50.0), 0.5) is None
 
 
-@pytest.mark.parametrize(("cost", "expected"), [(102.9, 1.0), (103.1, None)])
-def test_three_percent_more_are_as_long_and_more_are_not(cost, expected):
+@pytest.mark.parametrize(("cost", "expected"), [(104.9, 1.0), (105.1, None)])
+def test_five_percent_more_are_as_long_and_more_are_not(cost, expected):
     """A baseline that has one setting only."""
-    ours = Costly(1.0, 0.0, 100.0)
-    rays = at_equal_time(lambda r: Costly(1.0, 0.0, cost), ours, [VIEW], Gaze(), 1.0)
-    assert rays == expected
+    assert met(lambda r: Costly(1.0, 0.0, cost), Costly(1.0, 0.0, 100.0), 1.0) == expected
 
 
-def test_settings_are_timed_once():
-    """Rays that give the same whole samples are not timed anew."""
-    ours, timed = Costly(1.0, 0.0, 355.0), []
+def test_settings_that_are_far_off_are_left_after_few_frames_and_timed_once():
+    timed: list[float] = []
 
     @dataclass(frozen=True)
     class Counted(Costly):
@@ -59,80 +66,42 @@ def test_settings_are_timed_once():
             timed.append(self.rays_per_pixel)
             return super().render(view, gaze, seed)
 
-    at_equal_time(lambda r: Counted(max(1, int(r)), 10.0, 100.0), ours, [VIEW], Gaze(), 0.5)
-    # One frame warms up; the times of the others do not vary, so that the least number is enough.
-    assert len(timed) == 7 * len(set(timed))
+    met(lambda r: Counted(max(1, int(r)), 10.0, 100.0), Costly(1.0, 0.0, 355.0), 0.5)
+    # Two frames warm up.
+    counts = [timed[2:].count(spp) for spp in dict.fromkeys(timed)]
+    assert set(counts) <= {3, 6, 9}
+    assert counts[0] == 3
 
 
-class WithoutSettings:
-    """A method of one ray per pixel."""
-
-    @property
-    def settings(self) -> dict[str, float]:
-        return {}
-
-    def rays(self, camera: Camera, gaze: Gaze) -> float:
-        return 1.0
-
-
-@dataclass(frozen=True)
-class Sequence(WithoutSettings):
-    """A method whose frames take the given times, one after the other."""
-
-    times: list[float]
-    asked: list[tuple[bytes, int]] = field(default_factory=list)
-
-    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        self.asked.append((view.key, seed))
-        return TimedImage(np.zeros((1, 1, 3), np.float32), {"total": self.times[len(self.asked) - 1]})
-
-
-def test_a_relative_time_is_the_ratio_of_medians_after_a_frame_that_warms_up(monkeypatch):
-    monkeypatch.setattr(module, "_MOST_FRAMES", 5)
-    theirs, ours = Sequence([900.0, 7, 8, 6, 90, 1]), Sequence([0.1, 2, 1, 3, 90, 2])
-    assert relative_time(theirs, ours, [VIEW], Gaze()) == pytest.approx(7 / 2)
-    cameras = [key for key, _ in theirs.asked + ours.asked]
-    assert len(set(cameras)) == 12
-    assert CAMERA.key not in cameras
-    assert [seed for _, seed in theirs.asked] == [seed for _, seed in ours.asked] == [0, 1, 2, 3, 4, 5]
+def test_families_take_turns_and_each_ends_by_itself():
+    """All see the same gazes in the same order, none a camera of another, and ours comes first."""
+    ours, near, far = Recorder(10), Recorder(10), Recorder(50)
+    families = {"near": lambda r: near, "far": lambda r: far}
+    found = rays_at_equal_time(families, ours, VIEW, Gaze(), {"near": 1.0, "far": 1.0}, no_progress)
+    assert found == {"near": 1.0, "far": None}
+    # Two frames warm up; a method five times as slow is known after three, an equal one after nine.
+    assert (len(ours.gazes), len(near.gazes), len(far.gazes)) == (11, 11, 5)
+    assert near.gazes == ours.gazes
+    assert far.gazes == ours.gazes[:5]
+    keys = [camera.key for one in (ours, near, far) for camera in one.cameras]
+    assert len(set(keys)) == len(keys)
+    assert CAMERA.key not in keys
 
 
 @dataclass(frozen=True)
-class Noisy(WithoutSettings):
-    """A method whose frames take about the given time; it remembers what it was asked for."""
-
-    time: float
-    noise: float
-    seed: int
-    asked: list[tuple[Camera, Gaze]] = field(default_factory=list)
+class Noisy(Costly):
+    """A method whose times vary by a few percent."""
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        self.asked.append((view.camera, gaze))
-        draw = small.rng(1000 * self.seed + len(self.asked)).normal(0, self.noise)
-        return TimedImage(np.zeros((1, 1, 3), np.float32), {"total": self.time * np.exp(draw)})
+        found = super().render(view, gaze, seed)
+        factor = np.exp(small.rng(seed).normal(0, 0.02))
+        return TimedImage(found.image, {"total": found.milliseconds["total"] * factor})
 
 
-def test_frames_are_added_until_it_is_decided_whether_times_are_equal():
-    """A fifth more is seen at once, 1 % less only with all frames; without noise a few are enough."""
-    counts = {}
-    for time, noise in ((120.0, 0.02), (99.0, 0.2), (99.0, 0.0)):
-        method, ours = Noisy(time, noise, 1), Noisy(100.0, noise, 2)
-        relative_time(method, ours, [VIEW], Gaze())
-        counts[time, noise] = len(method.asked)
-        assert len(method.asked) == len(ours.asked)
-    assert counts == {(120.0, 0.02): 7, (99.0, 0.2): 61, (99.0, 0.0): 7}
-
-
-def test_frames_go_through_the_views_and_along_the_gaze_path():
-    views = [VIEW, VIEW.resized(16, 16), VIEW.resized(24, 24)]
-    method = Noisy(99.0, 0.2, 1)
-    relative_time(method, Noisy(100.0, 0.2, 2), views, Gaze(0.5, 0.5))
-    widths = [camera.width for camera, _ in method.asked]
-    assert [widths.count(view.camera.width) for view in views] == [21, 20, 20]
-    for part in (method.asked[1:13], method.asked):
-        x, y = (np.array([getattr(gaze, axis) for _, gaze in part]) for axis in "xy")
-        assert np.ptp(x) > 0.25
-        assert np.ptp(y) > 0.25
+def test_noise_is_endured():
+    rays = met(lambda r: Noisy(r, 30.0, 100.0), Costly(1.0, 0.0, 100.0), 0.1)
+    assert rays is not None
+    assert 30 + 100 * rays == pytest.approx(100, rel=0.08)
 
 
 SIZE = 48

@@ -17,8 +17,8 @@ from compose.base.errors import UserError
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
-from hybrid.evaluation.scoring import ScoringTask, score, scored_in_parallel
-from hybrid.measure.frame_quality import Viewer
+from hybrid.evaluation.scoring import ScoringTask, score, scorers
+from hybrid.measure.frame_quality import METRICS, Viewer
 from hybrid.measure.image_metrics import plain_regions
 from hybrid.measure.perceptual_metrics import flip_map
 from tests import small
@@ -27,35 +27,29 @@ SIZE = 48
 REFERENCE = small.rng().uniform(0.2, 0.8, (SIZE, SIZE, 3)).astype(np.float32)
 
 
-def task(error: float, halves: tuple[np.ndarray, ...] = (), flip_file: Path | None = None) -> ScoringTask:
+def task(
+    error: float, flip_file: Path | None = None, metrics: tuple[str, ...] = tuple(METRICS)
+) -> ScoringTask:
     """An image that is brighter than its reference by a factor."""
     parts = plain_regions(Foveation(Gaze(), 30, 30), (SIZE, SIZE), ("whole", "foveal"))
     viewer = Viewer(Display(SIZE, SIZE, 10.0), Gaze())
     image = REFERENCE * np.float32(1 + error)
-    return ScoringTask("baseline", image, REFERENCE, halves, parts, viewer, flip_file)
+    return ScoringTask("baseline", image, REFERENCE, parts, viewer, metrics, flip_file)
 
 
 def table(rows: list[dict]) -> dict[tuple[str, str], float]:
     return {(row["region"], row["metric"]): row["value"] for row in rows}
 
 
-def test_fovea_and_whole_frame_are_compared_with_both_halves_as_well():
-    """One half equals the image, the other one is far from it."""
-    pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
-    image = task(0.1).image
-    found = table(score(task(0.1, (image, REFERENCE * 2))))
-    assert found["foveal", "flip, half 1"] == 0
-    assert found["foveal", "flip, half 2"] > found["foveal", "flip"] > 0
-    assert {region for region, metric in found if "half" in metric} == {"foveal", "whole"}
-    assert found["whole", "ssim, half 1"] == pytest.approx(1)
-    assert found["whole", "ssim, half 2"] < found["whole", "ssim"]
-    assert not any("half" in metric for _, metric in table(score(task(0.1))))
+def test_only_what_is_wanted_is_measured():
+    found = table(score(task(0.1, metrics=("ssim", "psnr"))))
+    assert set(found) == {(region, metric) for region in ("whole", "foveal") for metric in ("ssim", "psnr")}
 
 
 def test_the_map_of_flip_is_written_in_colours(tmp_path):
     pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
     file = tmp_path / "flip.png"
-    found = table(score(task(0.3, (), file)))
+    found = table(score(task(0.3, file)))
     shown = np.asarray(PillowImage.open(file)).astype(int)
     assert shown.shape == (SIZE, SIZE, 3)
     error = flip_map(task(0.3).image, REFERENCE, task(0.3).viewer.display.pixels_per_degree)
@@ -64,7 +58,7 @@ def test_the_map_of_flip_is_written_in_colours(tmp_path):
     order = np.argsort(error.ravel())
     brightness = shown.sum(axis=2).ravel()[order]
     assert brightness[-100:].mean() > brightness[:100].mean()
-    score(task(0.0, (), file))
+    score(task(0.0, file))
     assert np.asarray(PillowImage.open(file)).max() < 5
 
 
@@ -75,25 +69,25 @@ def test_an_image_that_cannot_be_compared_is_named():
 
 
 def test_results_come_in_the_order_of_the_tasks_and_errors_are_passed_on():
-    """More tasks than are in flight at once; images are rendered only a few ahead."""
+    """More tasks than are in flight at once; images are rendered only a few ahead. Processes are kept."""
     workers = len(os.sched_getaffinity(0))
-    count, rendered, names, psnr = 2 * workers + 4, [], [], []
+    count, rendered, psnr = 2 * workers + 4, [], []
 
     def tasks():
         for number in range(count):
             rendered.append(number)
-            yield str(number), task(0.01 * number)
-        yield "broken", task(float("nan"))
+            yield task(0.01 * number)
+        yield task(float("nan"))
 
-    results = scored_in_parallel(tasks())
-    for _ in range(count):
-        name, rows = next(results)
-        names.append(name)
-        psnr.append(table(rows)["whole", "psnr"])
-        assert len(rendered) <= len(names) + 2 * workers
-    with pytest.raises(UserError, match="not finite"):
-        next(results)
-    assert names == [str(number) for number in range(count)]
+    with scorers() as scored:
+        results = scored(tasks())
+        for _ in range(count):
+            psnr.append(table(next(results))["whole", "psnr"])
+            assert len(rendered) <= len(psnr) + 2 * workers
+        with pytest.raises(UserError, match="not finite"):
+            next(results)
+        (again,) = scored([task(0.01)])
+        assert table(again)["whole", "psnr"] == psnr[1]
     assert psnr == sorted(psnr, reverse=True)
     assert psnr[0] == 120
 
@@ -101,16 +95,17 @@ def test_results_come_in_the_order_of_the_tasks_and_errors_are_passed_on():
 def test_a_program_from_the_standard_input_is_not_run_again():
     script = """
 print("once")
-from hybrid.evaluation.scoring import scored_in_parallel
+from hybrid.evaluation.scoring import scorers
 from tests.hybrid.evaluation.test_scoring import task
-print([name for name, rows in scored_in_parallel((name, task(0.1)) for name in "ab") if rows])
+with scorers() as scored:
+    print([len(rows) > 0 for rows in scored(task(0.1) for _ in range(2))])
 """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(
         [sys.executable, "-"], input=script, capture_output=True, text=True, timeout=300, env=environment
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["once", "['a', 'b']"]
+    assert done.stdout.splitlines() == ["once", "[True, True]"]
 
 
 _PARENT = """
