@@ -273,7 +273,9 @@ def merged_evaluation(folder: Path) -> dict[str, Any]:
     UserError as `parts_in` raises it, or if results of a complete part are gone.
     """
     parts = parts_in(folder)
-    journals = [Journal(one.folder / _JOURNAL, one.identity) for one in parts]
+    # The tuning was not known yet when they began.
+    begun = [{name: value for name, value in one.identity.items() if name != _TUNING} for one in parts]
+    journals = [Journal(one.folder / _JOURNAL, own) for one, own in zip(parts, begun, strict=True)]
     for one, journal in zip(parts, journals, strict=True):
         if _HEAD not in journal:
             raise UserError(f"{one.folder / _JOURNAL}: is missing; remove {one.folder.name} and run it again")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +13,20 @@ import pytest
 
 import hybrid.evaluation.entries
 import hybrid.evaluation.equal_cost
+import hybrid.evaluation.evaluation
 import hybrid.measure.frame_quality
 from compose.base.errors import UserError
+from compose.fovea.foveation import FoveaMode
 from hybrid.evaluation import sweep_catalogue as catalogue
-from hybrid.evaluation.evaluation import Evaluation, WorkProgress, reference_samples, stored_reference
+from hybrid.evaluation.evaluation import (
+    Evaluation,
+    mean_rows,
+    preparation_rows,
+    reference_samples,
+    stored_reference,
+)
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, EvaluationSettings
-from hybrid.evaluation.results import HALVES, OURS
+from hybrid.evaluation.results import OURS
 from hybrid.evaluation.scoring import score
 from hybrid.measure.image_metrics import REGIONS, regions
 from hybrid.measure.reference import Reference
@@ -28,13 +38,14 @@ from tests import small
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend")
-SMALL = ["--size", 48, 48, "--views", 2, "--reference-spp", 4, "--repeats", 3]
+SMALL = ["--size", 48, 48, "--views", 1, "--apart", 1, "--seeds", 2, "--reference-spp", 4, "--repeats", 3]
+QUICK = ["--quick", "--views", 2, "--seeds", 1]
 
 
-def scored_here(tasks):
-    """`scored_in_parallel` without its processes, which take seconds to start."""
-    for name, task in tasks:
-        yield name, score(task)
+@contextmanager
+def scorers_here():
+    """`scorers` without their processes, which take seconds to start."""
+    yield partial(map, score)
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +57,9 @@ def evaluated(made, tmp_path_factory):
         patch.setattr(hybrid.evaluation.equal_cost, "_F", (0.1, 0.4))
         patch.setattr(hybrid.evaluation.equal_cost, "_SPP", (1,))
         patch.setattr(hybrid.evaluation.equal_cost, "_TRIALS", 3)
-        patch.setattr(hybrid.evaluation.equal_cost, "_MOST_FRAMES", 6)
-        patch.setattr(hybrid.evaluation.entries, "_WARM_UP", 1)
+        patch.setattr(hybrid.evaluation.equal_cost, "_ENDURED", {2: 0.3})
         patch.setattr(hybrid.evaluation.entries, "OTHER_SPP", (16,))
-        patch.setattr(hybrid.evaluation.entries, "scored_in_parallel", scored_here)
+        patch.setattr(hybrid.evaluation.evaluation, "scorers", scorers_here)
         # The two metrics that take longest are as if they were not installed.
         patch.setattr(hybrid.measure.frame_quality, "jod", lambda *_: None)
         patch.setattr(hybrid.measure.frame_quality, "hdr_flip_map", lambda *_: None)
@@ -78,17 +88,21 @@ def test_all_rows_are_there(evaluated):
         "full",
         "enlarged",
         "rmfr",
-        HALVES,
     } <= methods
     assert {"rmfr, tuned", "full, denoised", "enlarged, denoised", f"{OURS}, 16 spp"} <= methods
     for row in found["quality"]:
-        assert set(row) == {"view", "method", "budget", "region", "metric", "value"}
+        assert set(row) == {"view", "seed", "method", "budget", "region", "metric", "value"}
         assert row["budget"] in ("fixed", "equal-rays", "equal-time")
         assert row["region"] in REGIONS
-    assert {row["view"] for row in found["quality"]} == {0, 1}
+    assert {row["seed"] for row in found["quality"]} == {0, 1}
+    views = {row["view"]: row["kind"] for row in found["views"]}
+    assert views == {0: "near", 1: "beyond", 2: "wide"}
+    assert {row["view"] for row in found["quality"]} == set(views)
+    counts = {(row["method"], row["budget"]): row["repeats"] for row in found["time"]}
+    assert counts[OURS, "fixed"] == 3 * len(views)
     for row in found["time"]:
-        assert (row["width"], row["height"], row["repeats"]) == (48, 48, 3)
-        # Three frames have no 95th percentile.
+        assert (row["width"], row["height"]) == (48, 48)
+        # So few frames have no 95th percentile.
         assert list(row["ms"]) == ["p50"]
         assert row["ms"]["p50"] > 0
         assert row["passes"]
@@ -97,12 +111,27 @@ def test_all_rows_are_there(evaluated):
     assert rays["rmfr, tuned", "equal-rays"] == pytest.approx(ours, rel=0.05)
     assert rays["enlarged", "equal-rays"] == pytest.approx(ours, rel=0.05)
     assert all(row["psnr"] > 10 for row in found["references"])
+    assert {row["budget"] for row in found["verdicts"]} == {"fixed", "equal-rays", "equal-time"}
+    assert {row["views"] for row in found["verdicts"]} == {"near", "beyond", "wide"}
+    prepared = {row["method"]: row["seconds"] for row in found["preparation"]}
+    assert prepared["full, path, denoised"] == 0 < prepared["full, denoised"]
+    # Forests that `train` makes do not say how long that took.
+    assert prepared[OURS] is None
     assert found["machine"]["cores"] >= 1
 
 
-def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(evaluated):
+@pytest.fixture(scope="module")
+def quick(evaluated):
+    """The same, quickly: two views and fewer rows."""
     folder, command = evaluated
-    stop_after = 5
+    assert command(folder / "quick", *QUICK) == 0
+    return folder, lambda report, *options: command(report, *QUICK, *options)
+
+
+def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(quick):
+    folder, command = quick
+    # In the second view.
+    stop_after = 30
     calls = []
 
     def interrupted(*arguments):
@@ -116,7 +145,46 @@ def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(evaluat
         assert command(folder / "second") == 130
     assert not (folder / "second" / "evaluation.json").exists()
     assert command(folder / "second") == 0
-    assert quality_of(folder / "second") == quality_of(folder / "first")
+    assert quality_of(folder / "second") == quality_of(folder / "quick")
+
+
+def test_parts_are_the_same_evaluation_bit_by_bit(quick, capsys):
+    """Rays at equal time are those that were found before: they are kept in the cache folder."""
+    folder, command = quick
+    report = folder / "parts"
+    assert command(report, "--part", "2/2") == 0
+    assert run_here("merge", report) == 2
+    assert "part 1 of 2 is missing" in capsys.readouterr().err
+    assert not (report / "evaluation.json").exists()
+    assert command(report, "--part", "1/2") == 0
+    assert run_here("merge", report) == 0
+    assert "the hybrid frame" in capsys.readouterr().out
+    found, whole = (json.loads((at / "evaluation.json").read_text()) for at in (report, folder / "quick"))
+    for name in ("quality", "references", "methods", "views", "verdicts", "settings", "machine"):
+        assert found[name] == whole[name], name
+    shown = {file.name for file in report.glob("*.png")}
+    assert shown == {file.name for file in (folder / "quick").glob("*.png")}
+    assert (report / "index.html").stat().st_size > 10_000
+    (report / "part-2-of-2" / "journal.json").unlink()
+    assert run_here("merge", report) == 2
+    assert "remove part-2-of-2 and run it again" in capsys.readouterr().err
+
+
+def run_here(*words: object) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        return run(patch, *words)
+
+
+def test_a_quick_evaluation_leaves_rows_out(quick):
+    folder, _ = quick
+    found = json.loads((folder / "quick" / "evaluation.json").read_text())
+    assert {row["kind"] for row in found["views"]} == {"near"}
+    assert {row["budget"] for row in found["quality"]} == {"fixed", "equal-time"}
+    names = {row["method"] for row in found["methods"]}
+    assert {name for name in names if name.startswith("hybrid")} == {
+        f"hybrid, {mode.value}" for mode in FoveaMode
+    }
+    assert {"splats alone", "rmfr, tuned"} <= names
 
 
 def test_another_evaluation_in_the_same_folder_is_refused(evaluated, capsys):
@@ -172,8 +240,11 @@ def _look(browser) -> None:
     cells = "return [...document.querySelectorAll('table.sortable')][0].tBodies[0].rows"
     for order in (1, -1):
         head.click()
-        values = [float(v) for v in ask(f"return [...({cells[7:]})].map(r => r.cells[2].textContent)")]
+        texts = ask(f"return [...({cells[7:]})].map(r => r.cells[2].textContent)")
+        values = [float(text) for text in texts if text != "-"]
         assert values == sorted(values, reverse=order < 0)
+        # What was not measured comes last.
+        assert "-" not in texts[: len(values)]
 
 
 def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
@@ -213,7 +284,7 @@ def test_a_sweep_stays_off_the_page_of_another_scene_and_of_a_damaged_evaluation
 def test_a_forest_of_another_scene_is_refused(made, tmp_path):
     room = load_scene(small.corner())
     with pytest.raises(UserError, match="belongs to scene cornell"):
-        Evaluation(room, load_forest(made / "box.forest"), EvaluationSettings(), tmp_path, None)
+        Evaluation(room, load_forest(made / "box.forest"), EvaluationSettings(), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -227,13 +298,13 @@ def made_up(height: int = 40, width: int = 64) -> Reference:
     return Reference(0.5 * (halves[0] + halves[1]), halves, errors)
 
 
-def test_the_disc_has_eight_times_the_samples():
+def test_the_disc_has_twice_the_samples():
     samples = reference_samples(SETTINGS).reshape(40, 64)
-    assert set(samples.ravel()) == {3, 24}
-    assert FOVEAL_REFERENCE == 8
+    assert set(samples.ravel()) == {3, 6}
+    assert FOVEAL_REFERENCE == 2
     # A radius of 10 pixels around (16, 20).
-    assert (samples == 24).sum() == pytest.approx(np.pi * 10**2, rel=0.03)
-    assert samples[20, 7] == samples[11, 16] == 24
+    assert (samples == 6).sum() == pytest.approx(np.pi * 10**2, rel=0.03)
+    assert samples[20, 7] == samples[11, 16] == 6
     assert samples[20, 27] == samples[32, 16] == 3
 
 
@@ -267,45 +338,38 @@ def test_errors_are_told_by_region():
     assert "salient" in psnr
 
 
-KINDS = ("references", "tuning", "costs", "quality", "times")
+def test_methods_are_means_over_the_views():
+    key = {"method": "full", "budget": "equal-time"}
+    first = [{**key, "rays": 1.0, "spp": 2}, {**key, "method": "rmfr", "rays": 1.0, "denoised": "true"}]
+    second = [{**key, "rays": 2.0, "spp": 2}]
+    assert mean_rows([first, second]) == [
+        {**key, "rays": 1.5, "spp": 2},
+        {**key, "method": "rmfr", "rays": 1.0, "denoised": "true"},
+    ]
 
 
-@pytest.fixture
-def reports() -> list[tuple[str, float, float]]:
-    return []
+def timed(method: str, milliseconds: float) -> dict:
+    return {"method": method, "ms": {"p50": milliseconds}}
 
 
-def progress(reports, **settings: int) -> WorkProgress:
-    return WorkProgress(EvaluationSettings(**settings), lambda *report: reports.append(report))
-
-
-def test_all_work_together_is_the_total(reports):
-    work = progress(reports)
-    for kind in KINDS:
-        for done in range(1, 4):
-            work.of(kind)(done, 3)
-    assert [kind for kind, _, _ in reports[::3]] == list(KINDS)
-    totals = {total for _, _, total in reports}
-    assert len(totals) == 1
-    shares = [done / total for _, done, total in reports]
-    assert shares == sorted(shares)
-    assert shares[0] > 0
-    assert shares[-1] == pytest.approx(1)
-
-
-def test_a_kind_of_work_does_not_count_twice(reports):
-    work = progress(reports)
-    work.of("quality")(1, 2)
-    work.of("quality")(1, 2)
-    assert reports[0] == reports[1]
-
-
-def test_more_of_a_kind_weighs_more(reports):
-    few, many = progress(reports, repeats=10), progress(reports, repeats=100)
-    few.of("times")(1, 1)
-    many.of("times")(1, 1)
-    assert reports[1][1] == pytest.approx(10 * reports[0][1])
-    few, many = progress(reports, width=64), progress(reports, width=128)
-    few.of("references")(1, 1)
-    many.of("references")(1, 1)
-    assert reports[3][1] == pytest.approx(2 * reports[2][1])
+def test_preparation_pays_against_frames_that_need_none():
+    """A forest of 90 s that saves 150 of 250 ms has paid after 600 frames, a cache of 3 s sooner."""
+    times = [
+        timed("hybrid, fused", 100.0),
+        timed("splats alone", 300.0),
+        timed("3dgs, no forest", 50.0),
+        timed("full, denoised", 200.0),
+        timed("full, path, denoised", 250.0),
+        timed("full, path, early roulette, denoised", 240.0),
+    ]
+    seconds = {"forest": 90.0, "baseline forest": None, "cache": 3.0}
+    found = preparation_rows(times, seconds, "cached")
+    assert {row["method"]: (row["seconds"], row["frames_to_pay"]) for row in found} == {
+        "hybrid, fused": (90.0, 600),
+        "splats alone": (90.0, None),
+        "3dgs, no forest": (None, None),
+        "full, denoised": (3.0, 60),
+        "full, path, denoised": (0.0, None),
+        "full, path, early roulette, denoised": (0.0, 0),
+    }
+    assert preparation_rows([timed("full, denoised", 9.0)], seconds, "path")[0]["frames_to_pay"] is None
