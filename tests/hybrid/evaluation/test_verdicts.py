@@ -81,8 +81,8 @@ class TestInterval:
 
     @extreme(
         "one view unlike all others",
-        given="differences of 0.1 in eleven views and of 5 in one, which a third of all resamplings lack; those have "
-        "no deviation but that of rounding",
+        given="differences of 0.1 in eleven views and of 5 in one, which a third of all resamplings lack: "
+        "those have no deviation but that of rounding",
         expected="Student's t: -0.39 to 1.41",
     )
     def test_almost_equal_values_have_students_t(self, got):
