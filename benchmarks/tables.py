@@ -166,7 +166,8 @@ def paths() -> str:
 
 def evaluation() -> str:
     """Means over the views of each method, whole frame and fovea, and the verdicts in words."""
-    from hybrid.evaluation.results import Results, verdicts
+    from hybrid.evaluation.results import Results
+    from hybrid.evaluation.verdicts import sentences
 
     found = Results(result("evaluation"))
     columns = [("whole", "ssim"), ("whole", "jod"), ("foveal", "psnr"), ("foveal", "flip"), ("foveal", "jod")]
@@ -175,7 +176,7 @@ def evaluation() -> str:
         cells = [_known(found.mean(key, *column), f".{_DIGITS[column[1]]}f") for column in columns]
         rows.append(" | ".join([found.label(key), _known(found.times.get(key), ".0f"), *cells]))
     header = " | ".join(["method | ms", *(f"{region} {_METRICS[metric]}" for region, metric in columns)])
-    below = "\n".join(f"- {line}" for line in verdicts(found.found))
+    below = "\n".join(f"- {line}" for line in sentences(found.found))
     return _table(header, rows, "evaluation", below=below)
 
 
