@@ -60,7 +60,7 @@ class Recorder:
         return TimedImage(image, {"trace": 1.0, "total": float(self.spp)})
 
 
-METHODS = {
+METHODS: dict[tuple[str, str], dict[str, Any]] = {
     (OURS, "fixed"): {"rays": 0.2, "fovea": "fused", "spp": 2},
     (f"{OURS}, 16 spp", "fixed"): {"rays": 1.6, "fovea": "fused", "spp": 16},
     ("splats alone", "fixed"): {"rays": 0.0},
