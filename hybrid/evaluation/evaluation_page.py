@@ -36,7 +36,10 @@ _PERCENTILES = ("p50", "p95", "p99")
 # Images in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 90
 # What the page shows of evaluation.json.
-_CONTENT = ("scene", "settings", "views", "references", "methods", "quality", "time", "machine")
+_CONTENT = (
+    *("scene", "settings", "display", "views", "references"),
+    *("methods", "quality", "time", "preparation", "machine"),
+)
 
 
 def write_evaluation(folder: Path, found: dict[str, Any]) -> None:

@@ -30,7 +30,7 @@ def given(monkeypatch):
             notes.append(arguments)
 
         def run(self, progress):
-            progress("references", 1.5, 3.0)
+            progress("view 2: quality", 1.5, 3.0)
             return FOUND
 
     monkeypatch.setattr(evaluation, "Evaluation", Evaluation)
@@ -44,7 +44,8 @@ def test_the_figures_are_written_before_the_report(given, tmp_path):
     found = evaluate(SCENE, FOREST, str(tmp_path / "r"))
     assert found == FOUND
     arguments, text = given
-    assert arguments == (SCENE, FOREST, EvaluationSettings(), tmp_path / "r", None)
+    # Neither a baseline forest, nor a part.
+    assert arguments == (SCENE, FOREST, EvaluationSettings(), tmp_path / "r", None, None)
     assert json.loads(text) == FOUND
     assert text.endswith("\n")
 
@@ -54,7 +55,8 @@ def test_settings_and_progress_are_those_given(given, tmp_path):
     settings = EvaluationSettings(views=2)
     evaluate(SCENE, FOREST, tmp_path, settings, progress=lambda *step: steps.append(step))
     assert given[0][2] == settings
-    assert steps == [(1, 3, "references")]
+    # In thousandths of a view.
+    assert steps == [(1500, 3000, "view 2: quality")]
 
 
 def test_a_baseline_forest_is_loaded_from_its_file(given, tmp_path):

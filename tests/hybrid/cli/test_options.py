@@ -54,8 +54,9 @@ def test_options_of_a_frame_default_to_the_settings_of_their_use(command, settin
 def test_options_of_an_evaluation_default_to_its_settings():
     defaults, settings = defaults_of("evaluate"), EvaluationSettings()
     assert tuple(defaults["size"]) == (settings.width, settings.height)
-    for name in ("views", "reference_spp", "repeats"):
+    for name in ("views", "apart", "seeds", "reference_spp", "repeats", "quick"):
         assert defaults[name] == getattr(settings, name)
+    assert defaults["raw_references"] is not settings.denoised_references
 
 
 def test_settings_that_are_out_of_range_are_the_users_mistake():

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from PIL import Image as PillowImage
 
-from hybrid.evaluation.results import HALVES, Results, flip_name, image_name
+from hybrid.evaluation.results import OURS, Results, flip_name, image_name
+from hybrid.evaluation.verdicts import verdict_rows
 from tests.hybrid.evaluation import fakes
 
 
@@ -19,22 +20,15 @@ def evaluation() -> dict[str, Any]:
     for row in found["time"]:
         row.update({"passes": {"trace": 0.7 * row["ms"]["p50"]}, "repeats": 20})
         row["ms"]["p95"] = 2 * row["ms"]["p50"]
-    key = {"view": 0, "method": HALVES, "budget": "fixed", "region": "foveal"}
-    found["quality"].append({**key, "metric": "jod", "value": 9.5})
-    references = [
-        {"view": view, "region": region, "psnr": psnr + view}
-        for view in range(2)
-        for region, psnr in (("whole", 40.04), ("foveal", 50.0))
+        row["over_ours"] = row["ms"]["p50"] / 10
+        row["over_ours_range"] = [0.9 * row["over_ours"], 1.1 * row["over_ours"]]
+    preparation = [
+        {"method": OURS, "seconds": 61.2, "frames_to_pay": 3060},
+        {"method": "rmfr, tuned", "seconds": 0.0, "frames_to_pay": 0},
+        {"method": "full", "seconds": None, "frames_to_pay": None},
     ]
-    settings = {"width": 32, "height": 16, "spp": 2, "fov_a": 20.0, "fov_b": 15.0, "reference_spp": 4}
     machine = {"cpu": "An <abacus>", "cores": 2, "python": "3.11", "packages": {"numpy": "1.26"}}
-    return {
-        "scene": "corner",
-        "settings": {**settings, "gaze_x": 0.25, "gaze_y": 0.5},
-        "references": references,
-        "machine": machine,
-        **found,
-    }
+    return {**found, "preparation": preparation, "machine": machine, "verdicts": verdict_rows(found)}
 
 
 def sweep(over: str = "radius") -> dict[str, Any]:

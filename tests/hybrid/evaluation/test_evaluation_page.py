@@ -24,11 +24,13 @@ from hybrid.evaluation.evaluation_page import (
     write_report,
 )
 from hybrid.evaluation.quickstart import write_page
-from hybrid.evaluation.results import OURS, Results, verdicts
+from hybrid.evaluation.results import BEYOND, OURS, Results, image_name
 from hybrid.evaluation.sweep_catalogue import table
+from hybrid.evaluation.verdicts import sentences
 from hybrid.render.image_files import write_srgb
 from tests import small
 from tests.hybrid.evaluation import content
+from tests.hybrid.evaluation.fakes import with_view
 
 
 @pytest.fixture
@@ -41,7 +43,7 @@ def page(tmp_path) -> str:
 def test_verdicts_stand_at_the_top(page):
     listed = re.search(r'<ul id="verdicts">(.*?)</ul>', page, re.DOTALL).group(1)
     shown = [html.unescape(line) for line in re.findall("<li>(.*?)</li>", listed)]
-    assert shown == verdicts(content.evaluation())
+    assert shown == sentences(content.evaluation())
 
 
 def test_every_image_and_map_is_in_the_page(page):
@@ -63,15 +65,53 @@ def test_tables_and_plots_are_there(page):
     # Foveal JOD, FLIP and whole SSIM over time, both over samples; and the one with the circles.
     assert page.count("<svg") == 3 + 2 + 1
     assert "<td>9.00</td>" in page
-    assert page.count("<table") == 5 + 1
+    # Quality of five regions, times, and preparation.
+    assert page.count("<table") == 5 + 1 + 1
+
+
+def test_preparation_has_what_it_takes_to_pay(page):
+    rows = re.findall(
+        "<tr><td>(.*?)</td><td>(.*?)</td>\n<td>(.*?)</td></tr>", page[page.index("Preparation") :]
+    )
+    assert rows == [(OURS, "61", "3060"), ("rmfr, tuned", "0", "0"), ("full", "-", "-")]
+
+
+def test_views_apart_are_named_and_shown_but_not_in_the_means(tmp_path):
+    """Of views whose images were not kept, only figures are there."""
+    found = content.write(tmp_path)
+    for _ in range(2):
+        with_view(found, BEYOND, {"ssim": 0.1, "flip": 0.9, "jod": 1.0, "psnr": 10.0})
+    (tmp_path / image_name(2, None)).write_bytes((tmp_path / image_name(0, None)).read_bytes())
+    (tmp_path / "evaluation.json").write_text(json.dumps(found))
+    before = Results(content.evaluation())
+    for region in ("whole", "foveal"):
+        assert quality_table(Results(found), region) == quality_table(before, region)
+    write_report(tmp_path)
+    page = (tmp_path / "index.html").read_text()
+    assert re.findall('<option value="(.)">(.*?)</option>', page) == [
+        ("0", "1, near"),
+        ("1", "2, near"),
+        ("2", "3, beyond"),
+    ]
+    assert "4 views, 1 seeds" in page
+    assert "Means over 2 views near the scene" in page
+    assert "2 views from beyond the prepared region: over the whole frame, by SSIM" in page
 
 
 def test_settings_and_machine_are_named_and_escaped(page):
     assert "Evaluation of corner" in page
     assert "32 × 16, samples per pixel in the disc: 2, fov-a 20 %, fov-b 15 % of the height, 2 views" in page
-    assert "References: 4 samples per pixel, 32 in the disc" in page
+    assert "References: 4 samples per pixel, 8 in the disc, denoised." in page
     assert "40.0 to 41.0 dB over the whole frame and 50.0 to 51.0 dB in the fovea" in page
     assert "An &lt;abacus&gt;, 2 cores, Python 3.11, numpy 1.26" in page
+
+
+def test_references_that_no_denoiser_has_touched_are_not_called_denoised(tmp_path):
+    found = content.write(tmp_path)
+    found["settings"]["denoised_references"] = False
+    (tmp_path / "evaluation.json").write_text(json.dumps(found))
+    write_report(tmp_path)
+    assert "4 samples per pixel, 8 in the disc." in (tmp_path / "index.html").read_text()
 
 
 def test_circles_are_in_percent_of_the_height(page):
@@ -96,8 +136,11 @@ def test_the_scene_of_an_evaluation_is_known(tmp_path):
     found = content.write(tmp_path)
     assert evaluated_scene(tmp_path) == "corner"
     file = tmp_path / "evaluation.json"
-    del found["time"]
-    for damaged in (json.dumps(found), "{", "7"):
+    # Evaluations of earlier versions have no kinds of views.
+    lacking = [
+        {name: found[name] for name in found if name != gone} for gone in ("time", "views", "preparation")
+    ]
+    for damaged in (*map(json.dumps, lacking), "{", "7"):
         file.write_text(damaged)
         with pytest.raises(UserError, match=r"evaluation.json: is damaged"):
             evaluated_scene(tmp_path)
@@ -107,7 +150,8 @@ def test_a_baseline_that_missed_equal_time_is_nowhere_called_equal(tmp_path):
     """Neither in tables nor in plots, nor where images are chosen."""
     found = content.write(tmp_path)
     for row in found["time"]:
-        row["over_ours"] = 1.2 if row["method"] == "rmfr, tuned" else row["ms"]["p50"] / 10
+        if row["method"] == "rmfr, tuned":
+            row["over_ours"] = 1.2
     (tmp_path / "evaluation.json").write_text(json.dumps(found))
     write_report(tmp_path)
     page = (tmp_path / "index.html").read_text()
@@ -246,14 +290,14 @@ def test_a_page_that_cannot_be_written_is_named(folder):
         page_of(folder)
 
 
-def test_quality_has_a_row_per_method_and_one_for_the_references():
+def test_quality_has_a_row_per_method():
     found = content.evaluation()
     shown = quality_table(Results(found), "foveal")
-    assert (shown["region"], shown["columns"]) == ("foveal", ["flip", "jod"])
+    assert (shown["region"], shown["columns"]) == ("foveal", ["psnr", "flip", "jod"])
     cells = {(row["method"], row["budget"]): row["cells"] for row in shown["rows"]}
-    assert cells["hybrid, fused", "fixed"] == ["0.1000", "9.00"]
-    assert cells["rmfr, tuned", "equal-time"] == ["0.2000", "8.00"]
-    assert cells["reference, half against half", "fixed"] == ["-", "9.50"]
+    assert cells["hybrid, fused", "fixed"] == ["30.00", "0.1000", "9.00"]
+    assert cells["rmfr, tuned", "equal-time"] == ["30.00", "0.2000", "8.00"]
+    assert list(cells) == Results(found).keys
     assert {row["method"] for row in shown["rows"] if row["ours"]} == {
         "hybrid, fused",
         "hybrid, fused, 16 spp",
@@ -265,9 +309,9 @@ def test_times_have_percentiles_frame_rates_and_passes():
     del found["time"][0]["ms"]["p95"]
     found["time"][1]["passes"]["denoise"] = 3.4
     shown = time_table(Results(found))
-    assert shown["columns"] == ["p50", "p95", "p99", "FPS", "frames", "trace", "denoise"]
-    assert shown["rows"][0]["cells"] == ["10", "-", "-", "100.0", "20", "7", "-"]
-    assert shown["rows"][1]["cells"] == ["40", "80", "-", "25.0", "20", "28", "3"]
+    assert shown["columns"] == ["p50", "p95", "p99", "/ ours", "FPS", "frames", "trace", "denoise"]
+    assert shown["rows"][0]["cells"] == ["10", "-", "-", "1.00 (0.90–1.10)", "100.0", "20", "7", "-"]
+    assert shown["rows"][1]["cells"] == ["40", "80", "-", "4.00 (3.60–4.40)", "25.0", "20", "28", "3"]
 
 
 def test_a_sweeps_columns_end_with_its_quality():
@@ -281,14 +325,12 @@ def test_a_sweeps_columns_end_with_its_quality():
 def test_a_baseline_that_missed_equal_time_is_marked_in_both_tables():
     found = content.evaluation()
     for row in found["time"]:
-        row["over_ours"] = row["ms"]["p50"] / 10
         if row["method"] == "rmfr, tuned":
-            row["over_ours"], row["ms_range"] = 1.2, [9.0, 13.0]
+            row |= {"over_ours": 1.2, "over_ours_range": [1.1, 1.4], "ms_range": [9.0, 13.0]}
     shown = time_table(Results(found))
     (row,) = (row for row in shown["rows"] if row["method"] == "rmfr, tuned")
-    assert shown["columns"][:4] == ["p50", "p95", "p99", "/ ours"]
     assert row["budget"] == "equal-time, missed: 20 % slower"
-    assert (row["cells"][0], row["cells"][3]) == ("10 (9–13)", "1.20")
+    assert (row["cells"][0], row["cells"][3]) == ("10 (9–13)", "1.20 (1.10–1.40)")
     budgets = [row["budget"] for row in quality_table(Results(found), "foveal")["rows"]]
     assert "equal-time, missed: 20 % slower" in budgets
     assert "equal-time" not in budgets

@@ -14,11 +14,17 @@ from pathtrace.dataset.frame_set import CaptureSettings
 from splat.training.trainer import TrainingSettings
 
 
-@pytest.mark.parametrize("name", ["width", "height", "views", "reference_spp", "repeats"])
+@pytest.mark.parametrize("name", ["width", "height", "views", "seeds", "reference_spp", "repeats"])
 @pytest.mark.parametrize("value", [0, -2])
 def test_counts_must_be_positive(name, value):
     with pytest.raises(UserError, match=f"{name.replace('_', '-')} {value}: must be positive"):
         EvaluationSettings(**{name: value})
+
+
+def test_there_may_be_no_views_apart():
+    assert EvaluationSettings(apart=0).apart == 0
+    with pytest.raises(UserError, match=r"^apart -1: must not be negative$"):
+        EvaluationSettings(apart=-1)
 
 
 def test_a_gaze_outside_of_the_frame_and_a_missing_disc_are_refused():
@@ -29,7 +35,7 @@ def test_a_gaze_outside_of_the_frame_and_a_missing_disc_are_refused():
 
 
 def test_evaluation_json_has_all_settings_but_the_display():
-    settings = EvaluationSettings(FrameSettings((0.3, 0.6), 30, 10, 2), 64, 48, 2, 8, 5, 7)
+    settings = EvaluationSettings(FrameSettings((0.3, 0.6), 30, 10, 2), 64, 48, 2, 1, 4, 8, False, 5, True, 7)
     assert json.loads(json.dumps(settings.as_json())) == {
         "gaze_x": 0.3,
         "gaze_y": 0.6,
@@ -41,8 +47,12 @@ def test_evaluation_json_has_all_settings_but_the_display():
         "width": 64,
         "height": 48,
         "views": 2,
+        "apart": 1,
+        "seeds": 4,
         "reference_spp": 8,
+        "denoised_references": False,
         "repeats": 5,
+        "quick": True,
         "seed": 7,
     }
 

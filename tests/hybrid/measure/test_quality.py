@@ -19,7 +19,7 @@ from hybrid.measure.frame_quality import (
     metric_rows,
     region_metrics,
 )
-from hybrid.measure.image_metrics import REGIONS, plain_regions, psnr, regions, ssim
+from hybrid.measure.image_metrics import REGIONS, ImageRegion, plain_regions, psnr, regions, ssim
 from hybrid.measure.perceptual_metrics import flip_map
 from tests import small
 
@@ -107,12 +107,38 @@ def test_psnr_of_a_region_is_that_of_its_pixels(scene, of_noise):
         assert of_noise[name, "psnr"] == pytest.approx(psnr(bad[region.mask], scene[region.mask]))
 
 
-def test_ssim_of_a_region_ignores_errors_outside(scene, of_noise):
+@pytest.mark.parametrize(
+    "gaze", [GAZE, Gaze(0.0, 1.0), Gaze(0.97, 0.5)], ids=["inside", "in a corner", "at an edge"]
+)
+def test_ssim_of_a_region_is_the_mean_of_the_whole_map_there(scene, gaze):
+    """Without errors outside of the region, though the map is computed in its box only."""
+    parts, bad = regions(Foveation(gaze, 30.0, 20.0), scene), noisy(scene, 0.3)
+    for row in metric_rows(bad, scene, parts, Viewer(VIEWER.display, gaze), wanted=["ssim"]):
+        part = parts[str(row["region"])]
+        expected = ssim(part.alone(bad, scene), scene, part.mask.astype(np.float32))
+        assert row["value"] == pytest.approx(expected, abs=1e-6), row["region"]
+
+
+def test_a_region_without_a_pixel_inside_the_margin_has_no_ssim(scene):
+    """SSIM is known from the sixth pixel on."""
+    mask = np.zeros((SIZE, SIZE), dtype=bool)
+    mask[:5] = True
+    for last, expected in ((5, []), (6, ["ssim"])):
+        mask[:last] = True
+        part = {"foveal": ImageRegion.of("foveal", mask)}
+        rows = metric_rows(noisy(scene, 0.3), scene, part, VIEWER, wanted=["ssim"])
+        assert [row["metric"] for row in rows] == expected
+
+
+def test_only_what_is_wanted_is_computed(scene, of_noise, monkeypatch):
+    monkeypatch.setattr(quality, "jod", None)
     parts = regions(FOVEATION, scene)
-    for name in ("foveal", "peripheral"):
-        alone = parts[name].alone(noisy(scene, 0.3), scene)
-        expected = ssim(alone, scene, parts[name].mask.astype(np.float32))
-        assert of_noise[name, "ssim"] == pytest.approx(expected)
+    rows = metric_rows(noisy(scene, 0.3), scene, parts, VIEWER, wanted=("ssim", "psnr"))
+    assert [(row["region"], row["metric"]) for row in rows] == [
+        (n, m) for n in parts for m in ("ssim", "psnr")
+    ]
+    for row in rows:
+        assert row["value"] == pytest.approx(of_noise[str(row["region"]), str(row["metric"])])
 
 
 def test_flip_of_a_region_is_the_mean_of_its_map(scene, of_noise):

@@ -104,6 +104,36 @@ class TestTraced:
         assert uneven.psnr(dense) > even.psnr(dense) + 3
         assert uneven.psnr(~dense) == pytest.approx(even.psnr(~dense), abs=2)
 
+    def test_no_denoiser_touches_raw_references(self, monkeypatch):
+        """Nor are auxiliary images traced; the samples are the same, and so is their mean."""
+        scene = load_scene(small.corner())
+        tracer, camera = Tracer(scene), scene.camera.resized(24, 16)
+        denoised = reference(tracer, camera, 16, 3)
+        samples = []
+        traced = module.radiance_image
+
+        def noted(*arguments):
+            samples.append(traced(*arguments))
+            return samples[-1]
+
+        monkeypatch.setattr(module, "radiance_image", noted)
+        monkeypatch.setattr(module, "auxiliary_images", None)
+        monkeypatch.setattr(TracedImage, "denoised", None)
+        raw = reference(tracer, camera, 16, 3, denoised=False)
+        np.testing.assert_allclose(raw.radiance, np.mean(samples, axis=0), rtol=1e-5, atol=1e-6)
+        for half, parts in zip(raw.halves, (samples[:2], samples[2:]), strict=True):
+            np.testing.assert_allclose(half, np.mean(parts, axis=0), rtol=1e-5, atol=1e-6)
+        assert (raw.radiance != denoised.radiance).any()
+
+    def test_raw_references_know_how_wrong_they_are(self):
+        """Against one of 32 times as many samples."""
+        scene = load_scene(small.corner())
+        tracer, camera = Tracer(scene), scene.camera.resized(48, 48)
+        truth = reference(tracer, camera, 2048, 1, denoised=False)
+        few = [reference(tracer, camera, 64, seed, denoised=False) for seed in range(2, 6)]
+        actual = np.mean([psnr(found.radiance, truth.radiance) for found in few])
+        assert np.mean([found.psnr() for found in few]) == pytest.approx(actual, abs=1.5)
+
     @pytest.mark.parametrize(("spp", "counts"), [(8, [2, 2, 2, 2]), (6, [1, 2, 1, 2]), (7, [1, 2, 2, 2])])
     def test_samples_are_spread_over_four_parts_and_weigh_the_same(self, monkeypatch, spp, counts):
         """Each part is as bright as it has samples, so that a half is the sum of squares over the sum."""
