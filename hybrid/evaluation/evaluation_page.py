@@ -107,7 +107,7 @@ def _overview(results: Results) -> dict[str, Any]:
         "subtitle": (
             f"{settings['width']} × {settings['height']}, samples per pixel in the disc: {settings['spp']}, "
             f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
-            f"{len(found['views'])} views, {settings['seeds']} seeds. References: "
+            f"{len(found['views'])} views, seeds per view: {settings['seeds']}. References: "
             f"{settings['reference_spp']} samples per pixel, "
             f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc"
             f"{', denoised' if settings['denoised_references'] else ''}."

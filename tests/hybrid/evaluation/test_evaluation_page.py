@@ -93,7 +93,7 @@ def test_views_apart_are_named_and_shown_but_not_in_the_means(tmp_path):
         ("1", "2, near"),
         ("2", "3, beyond"),
     ]
-    assert "4 views, 1 seeds" in page
+    assert "4 views, seeds per view: 1" in page
     assert "Means over 2 views near the scene" in page
     assert "2 views from beyond the prepared region: over the whole frame, by SSIM" in page
 

@@ -13,7 +13,7 @@ from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import home
 from hybrid.base.identity import Journal, short_hash
-from hybrid.evaluation import methods as path_traced
+from hybrid.evaluation import baselines_traced as path_traced
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation import sweep_run as module
 from hybrid.evaluation.methods import HybridMethod
@@ -202,7 +202,7 @@ def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(wri
 def test_every_timed_frame_pays_for_what_its_camera_shows(written, monkeypatch):
     """Rows share renderers, which keep what depends on the camera alone: saliency, for one."""
     features, cameras = [], set()
-    look, trace = saliency.saliency, path_traced._PathTraced.traced
+    look, trace = saliency.saliency, path_traced.PathTraced.traced
 
     def counted(image):
         features.append(image.shape)
@@ -213,7 +213,7 @@ def test_every_timed_frame_pays_for_what_its_camera_shows(written, monkeypatch):
         return trace(method, camera, *rest)
 
     monkeypatch.setattr(saliency, "saliency", counted)
-    monkeypatch.setattr(path_traced._PathTraced, "traced", traced)
+    monkeypatch.setattr(path_traced.PathTraced, "traced", traced)
     rows = written("radius")["rows"]
     assert len(features) == len(rows) * (3 + 1)
     assert len(cameras) == 2 * (3 + 1)

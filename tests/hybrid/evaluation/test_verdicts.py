@@ -266,6 +266,8 @@ def test_rows_have_kinds_of_views_and_what_was_compared():
         "difference": pytest.approx(-0.01),
         "low": pytest.approx(-0.01),
         "high": pytest.approx(-0.01),
+        # References of 50 and 51 dB, frames of 30.
+        "lead": pytest.approx(-10 * np.log10((1e-5 + 10**-5.1) / 2) - 30),
         "verdict": AHEAD,
     }
     assert OURS not in {row["baseline"] for row in rows}
@@ -292,17 +294,37 @@ FOVEA = START + "in the fovea, by "
 def test_bad_news_come_first_and_only_affordable_baselines_count():
     assert sentences(fakes.found()) == [
         START + "over the whole frame, by SSIM, the hybrid frame cannot be told from splats alone (+0.015; "
-        "-0.0485 to +0.0785) and rmfr, tuned (+0.095; -1.24 to +1.43): the views or the references do not "
-        "suffice.",
-        FOVEA + "FovVideoVDP, the hybrid frame is behind splats alone (-0.2; -0.2 to -0.2).",
-        FOVEA + "FovVideoVDP, the hybrid frame is ahead of rmfr, tuned (+1; +1 to +1).",
-        FOVEA + "FLIP, the hybrid frame is ahead of splats alone (-0.01; -0.01 to -0.01) and "
-        "rmfr, tuned (-0.1; -0.1 to -0.1).",
+        "-0.049 to +0.079) and rmfr, tuned (+0.095; -1.239 to +1.429): the views do not suffice.",
+        FOVEA + "FovVideoVDP, the hybrid frame is behind splats alone (-0.20; -0.20 to -0.20).",
+        FOVEA + "FovVideoVDP, the hybrid frame is ahead of rmfr, tuned (+1.00; +1.00 to +1.00).",
+        FOVEA + "FLIP, the hybrid frame is ahead of splats alone (-0.010; -0.010 to -0.010) and "
+        "rmfr, tuned (-0.100; -0.100 to -0.100).",
         "SSIM of the whole frame is higher than that of rectangular mapping-based foveated rendering (RMFR), "
         "tuned and at equal time, in 1 of 2 views (Foveated Path Culling: 2 of 5, untuned).",
         "By FovVideoVDP, the fused fovea is better than splats alone from 16 samples per pixel on.",
         "By FLIP, the fused fovea is better than splats alone from 2 samples per pixel on.",
     ]
+
+
+def test_ablations_are_told_from_baselines():
+    found = fakes.found()
+    for name in ("methods", "quality", "time"):
+        of_rmfr = [row for row in found[name] if row["method"] == "rmfr, tuned"]
+        found[name] += [{**row, "method": "hybrid, without fusion"} for row in of_rmfr]
+    assert [line for line in sentences(found) if line.startswith(FOVEA + "FLIP")] == [
+        FOVEA + "FLIP, the hybrid frame is ahead of splats alone (-0.010; -0.010 to -0.010) and "
+        "rmfr, tuned (-0.100; -0.100 to -0.100).",
+        FOVEA + "FLIP, the hybrid frame is ahead of one without fusion (-0.100; -0.100 to -0.100).",
+    ]
+
+
+def test_it_is_said_why_nothing_is_decided():
+    found = fakes.found()
+    for row in found["references"]:
+        row["psnr"] = 30.0
+    lines = [line for line in sentences(found) if "the hybrid frame" in line and "in the fovea" in line]
+    assert len(lines) == 2
+    assert all(line.endswith(": the references are not close enough to the truth.") for line in lines)
 
 
 def test_what_is_equal_is_said_before_what_is_ahead():
@@ -313,7 +335,7 @@ def test_what_is_equal_is_said_before_what_is_ahead():
     lines = [line for line in sentences(found) if "by FLIP, the hybrid frame" in line]
     assert lines == [
         FOVEA + "FLIP, the hybrid frame equals splats alone (-0.001; -0.001 to -0.001).",
-        FOVEA + "FLIP, the hybrid frame is ahead of rmfr, tuned (-0.1; -0.1 to -0.1).",
+        FOVEA + "FLIP, the hybrid frame is ahead of rmfr, tuned (-0.100; -0.100 to -0.100).",
     ]
 
 
@@ -327,7 +349,7 @@ def test_views_apart_have_sentences_of_their_own(kind, words):
     with_view(found, kind, {"ssim": 0.5, "flip": 0.1, "psnr": 20.0})
     assert [line for line in sentences(found) if words in line] == [
         f"corner, 32x16, 32 pixels per degree, 1 view{words}: over the whole frame, by SSIM, the hybrid "
-        "frame cannot be told from rmfr, tuned (+0.05): the views or the references do not suffice."
+        "frame cannot be told from rmfr, tuned (+0.050): the views do not suffice."
     ]
 
 
@@ -350,7 +372,7 @@ def test_a_baseline_that_missed_equal_time_is_marked(got):
         if row["method"] == "rmfr, tuned":
             row["over_ours"] = 1.2
     lines = sentences(found)
-    marked = "rmfr, tuned (+1; +1 to +1; 20 % slower than the hybrid frame)"
+    marked = "rmfr, tuned (+1.00; +1.00 to +1.00; 20 % slower than the hybrid frame)"
     assert any(marked in line for line in lines)
     rmfr = next(line for line in lines if "RMFR" in line)
     assert "tuned and 20 % slower than the hybrid frame, in 1 of 2 views" in rmfr
@@ -391,7 +413,7 @@ def test_without_the_optional_metrics_the_fovea_is_compared_by_others():
     lines = sentences(found)
     assert any(line.startswith(FOVEA + "SSIM, the hybrid frame is ahead of splats alone") for line in lines)
     # 30 dB all.
-    assert any(line.startswith(FOVEA + "PSNR, the hybrid frame equals splats alone (+0;") for line in lines)
+    assert any(line.startswith(FOVEA + "PSNR, the hybrid frame equals splats alone (+0.0;") for line in lines)
 
 
 def test_splats_that_take_longer_are_not_compared_with():
