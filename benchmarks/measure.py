@@ -48,7 +48,7 @@ MEASUREMENTS = {
     "radius": f"hybrid sweep room --over radius --repeats 5 {_FRAMES}",
     "denoiser": f"hybrid sweep room --over denoiser --size 512 512 {_FRAMES}",
     **{f"paths-{name}": _PATHS.format(*placed) for name, placed in _PLACED.items()},
-    "evaluation": f"python -m benchmarks.evaluations room {_FRAMES}",
+    "evaluation": f"python -m benchmarks.evaluations room --quick {_FRAMES}",
     "periphery": f"hybrid bench periphery room {_FRAMES}",
     "levels": f"python -m benchmarks.levels room {_FRAMES}",
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
