@@ -12,7 +12,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera, View, eyes
@@ -25,6 +24,7 @@ from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.moving_bench import BETWEEN_EYES, HYBRID, SPLATS, TRACED
 from hybrid.evaluation.temporal_baselines import Svgf, TemporalAntialiasing, TracedFrame
+from hybrid.evaluation.verdicts import mean_interval
 from hybrid.measure.perceptual_metrics import jod, jod_of_video
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
@@ -346,15 +346,14 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def _summary(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Means over clips, 95 % intervals of JOD by Student's t, and the median time of all frames."""
+    """Means over clips, 95 % intervals of JOD, and the median time of all frames."""
     row: dict[str, Any] = {}
     for name, low, high in (("jod", "low", "high"), ("foveal_jod", "foveal_low", "foveal_high")):
         scores = [result[name] for result in results]
-        mean = row[name] = _mean(scores)
-        row |= {low: None, high: None, f"{name}_by_clip": scores}
-        if mean is not None and len(scores) > 1:
-            half = float(stdtrit(len(scores) - 1, 0.975) * np.std(scores, ddof=1) / len(scores) ** 0.5)
-            row |= {low: mean - half, high: mean + half}
+        known = [score for score in scores if score is not None]
+        row |= {name: _mean(scores), low: None, high: None, f"{name}_by_clip": scores}
+        if len(known) > 1:
+            row |= dict(zip((name, low, high), mean_interval(known, 0.95), strict=True))
     return {
         **row,
         "flicker": _mean([result["flicker"] for result in results]),
