@@ -43,5 +43,6 @@ def test_measurements_tell_where_and_when_they_were_made():
 
 
 def test_figures_of_a_page_are_of_one_machine():
-    machines = {tables.measured(name)["machine"]["cpu"] for name in MEASUREMENTS}
+    # That of the evaluation is another one.
+    machines = {tables.measured(name)["machine"]["cpu"] for name in MEASUREMENTS if name != "evaluation"}
     assert len(machines) == 1

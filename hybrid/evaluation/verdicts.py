@@ -232,7 +232,8 @@ def _against_splats(results: Results) -> list[str]:
         if counts:
             when = f"from {counts[0]} samples per pixel on" if counts[0] > 1 else "even at 1 sample per pixel"
         else:
-            when = f"at none of {listed([str(spp) for spp in sorted(by_spp)])} samples per pixel"
+            tried = listed([str(spp) for spp in sorted(by_spp)])
+            when = f"at none of the sample counts that were tried ({tried} per pixel)"
         found.append(f"By {METRIC_NAMES[metric]}, the fused fovea is better than splats alone {when}.")
     return found
 

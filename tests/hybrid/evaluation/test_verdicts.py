@@ -399,7 +399,10 @@ def test_more_samples_that_are_worse_again_have_not_passed():
     )
     key = {"view": 0, "seed": 0, "method": f"{OURS}, 64 spp", "budget": "fixed", "region": "foveal"}
     found["quality"].append({**key, "metric": "flip", "value": 0.12})
-    said = "By FLIP, the fused fovea is better than splats alone at none of 2, 16 and 64 samples per pixel."
+    said = (
+        "By FLIP, the fused fovea is better than splats alone at none of the sample counts that were tried "
+        "(2, 16 and 64 per pixel)."
+    )
     assert said in sentences(found)
 
 
