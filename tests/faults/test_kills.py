@@ -45,6 +45,7 @@ def test_a_killed_capture_resumes(tmp_path, got):
     got(f"{found['kills']} kills, {found['completed']} captures of the same bytes")
 
 
+@pytest.mark.long
 @extreme(
     "4 kills of a capture in parts",
     given="SIGKILL, two each of a part and of its merge, at random moments and between the steps of a write",

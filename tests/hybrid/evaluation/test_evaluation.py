@@ -18,6 +18,8 @@ import hybrid.measure.frame_quality
 from compose.base.errors import UserError
 from compose.fovea.foveation import FoveaMode
 from hybrid.evaluation import sweep_catalogue as catalogue
+from hybrid.evaluation.ablations import ablations
+from hybrid.evaluation.baselines import families
 from hybrid.evaluation.evaluation import (
     Evaluation,
     mean_rows,
@@ -26,6 +28,7 @@ from hybrid.evaluation.evaluation import (
     stored_reference,
 )
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, EvaluationSettings
+from hybrid.evaluation.methods import Family
 from hybrid.evaluation.results import OURS
 from hybrid.evaluation.scoring import score
 from hybrid.measure.image_metrics import REGIONS, regions
@@ -48,6 +51,16 @@ def scorers_here():
     yield partial(map, score)
 
 
+FEW = (
+    *("full", "full, denoised", "full, path, denoised", "enlarged", "enlarged, denoised"),
+    *("rmfr", "rmfr, tuned", "hybrid, without fusion"),
+)
+
+
+def _few(methods: dict[str, Family]) -> dict[str, Family]:
+    return {name: family for name, family in methods.items() if name in FEW}
+
+
 @pytest.fixture(scope="module")
 def evaluated(made, tmp_path_factory):
     """A command line that evaluates a box, its cache folder kept from call to call."""
@@ -60,6 +73,9 @@ def evaluated(made, tmp_path_factory):
         patch.setattr(hybrid.evaluation.equal_cost, "_ENDURED", {2: 0.3})
         patch.setattr(hybrid.evaluation.entries, "OTHER_SPP", (16,))
         patch.setattr(hybrid.evaluation.evaluation, "scorers", scorers_here)
+        # Few of the methods: each has kernels of its own to compile.
+        patch.setattr(hybrid.evaluation.evaluation, "families", lambda *of: _few(families(*of)))
+        patch.setattr(hybrid.evaluation.evaluation, "ablations", lambda *of: _few(ablations(*of)))
         # The two metrics that take longest are as if they were not installed.
         patch.setattr(hybrid.measure.frame_quality, "jod", lambda *_: None)
         patch.setattr(hybrid.measure.frame_quality, "hdr_flip_map", lambda *_: None)
