@@ -8,6 +8,7 @@ what is resampled.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +49,12 @@ def mean_interval(values: Sequence[float], level: float) -> Interval:
     of the accelerated bootstrap do in 86 to 94 %; by Student's t for fewer than 8 values, or if almost all
     are the same.
     """
+    return _interval(tuple(values), level)
+
+
+# Rows, the sentences of the command and those of the page ask for the same intervals.
+@lru_cache(4096)
+def _interval(values: tuple[float, ...], level: float) -> Interval:
     from scipy.stats import t as student
 
     data = np.asarray(values, dtype=np.float64)
@@ -90,8 +97,7 @@ def verdict_rows(found: Mapping[str, Any]) -> list[dict[str, Any]]:
     """
     results = Results(found)
     rows = []
-    for kind, region, metric, key in _measured(results):
-        differences = results.differences(key, region, metric, kind)
+    for kind, region, metric, key, differences in _measured(results):
         interval, says = verdict(differences, metric)
         lead = _lead(results, key, region, kind)
         if lead < LEAD:
@@ -115,15 +121,15 @@ def verdict_rows(found: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def _measured(results: Results) -> Iterator[tuple[str, str, str, Key]]:
-    """Kinds of views, regions, metrics and methods of which there are differences that are numbers."""
+def _measured(results: Results) -> Iterator[tuple[str, str, str, Key, list[float]]]:
+    """Kinds of views, regions, metrics and methods, with their differences where all of these are numbers."""
     for kind in results.kinds:
         for region in COMPARED:
             for metric in (one for one in METRICS if one in MARGINS):
                 for key in (one for one in results.keys if one != OURS_KEY):
                     differences = results.differences(key, region, metric, kind)
                     if differences and np.isfinite(differences).all():
-                        yield kind, region, metric, key
+                        yield kind, region, metric, key, differences
 
 
 def _lead(results: Results, key: Key, region: str, kind: str) -> float:
