@@ -1,8 +1,7 @@
-"""What is fused, and the result; as batches of images (N, C, H, W): named channels and small filters."""
+"""What is fused, and the result; as batches of images (N, C, H, W): small filters."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +11,8 @@ from torch.nn import functional
 
 from compose.image.colour import LUMINANCE_WEIGHTS, Image
 
-# Parents, in the order of their weights; and all images of `Parents`.
-PARENTS = ("traced", "denoised", "splat")
-IMAGES = (*PARENTS, "variance", "albedo", "normal", "count")
+# What an estimate is made of, in the order of its weights.
+PARENTS = ("traced", "denoised", "relit", "splat")
 
 
 @dataclass(frozen=True)
@@ -26,25 +24,26 @@ class Parents:
 
     traced: Image | Tensor  # (H, W, 3) mean of the path-traced samples, linear radiance
     variance: Image | Tensor  # (H, W, 3) of that mean; inf where it is unknown
-    denoised: Image | Tensor  # (H, W, 3) the same samples, denoised
     splat: Image | Tensor  # (H, W, 3) the splats, rendered for the same view
-    albedo: Image | Tensor  # (H, W, 3) of the same samples, as the normal
-    normal: Image | Tensor
+    albedo: Image | Tensor  # (H, W, 3) of the same samples
     count: Image | Tensor  # (H, W, 1) number of samples
-    enlargement: float  # side of the pixels that the splats were trained on, in pixels of these images
-    quick: bool = False  # whether the quicker denoiser was used
+    denoised: Image | Tensor | None = None  # (H, W, 3) the same samples, denoised, unless that takes too long
 
     def __post_init__(self) -> None:
-        for name in IMAGES:
-            shape = tuple(getattr(self, name).shape)
+        for name, image in self.images().items():
+            shape = tuple(image.shape)
             expected = (*self.traced.shape[:2], 1 if name == "count" else 3)
             if shape != expected:
                 raise ValueError(f"{name} is {shape}, must be {expected} to match traced")
 
+    def images(self) -> dict[str, Image | Tensor]:
+        """All images that there are, by name."""
+        return {name: image for name, image in vars(self).items() if image is not None}
+
 
 @dataclass(frozen=True)
 class Fused:
-    """One estimate of radiance (H, W, 3), of torch on the parents' device, and their weights (H, W, 3).
+    """One estimate of radiance (H, W, 3), of torch on the parents' device, and weights (H, W, len(PARENTS)).
 
     In `excluded` pixels a parent was left out because it was negative, not finite, or out of proportion to
     its neighbours and to the other parents (compose.image.colour).
@@ -53,26 +52,6 @@ class Fused:
     radiance: Tensor
     weights: Tensor
     excluded: int
-
-
-class Channels(dict[str, int]):
-    """Number of channels of each image of a stack by its name, in the order in which they are stacked."""
-
-    @property
-    def total(self) -> int:
-        """Number of channels of the stack."""
-        return sum(self.values())
-
-    def stacked(self, images: Mapping[str, Tensor]) -> Tensor:
-        """(N, total, H, W) stack of named images (N, width, H, W); ValueError if names or widths differ."""
-        found = {name: image.shape[-3] for name, image in images.items()}
-        if found != self:
-            raise ValueError(f"channels are {found}, must be {dict(self)}")
-        return torch.cat([images[name] for name in self], -3)
-
-    def parts(self, stack: Tensor) -> dict[str, Tensor]:
-        """The named images, each (N, width, H, W), of a stack (N, total, H, W)."""
-        return dict(zip(self, stack.split(list(self.values()), -3), strict=True))
 
 
 def box_mean(image: Tensor) -> Tensor:

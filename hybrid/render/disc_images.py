@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
+import mitsuba_oidn
 import numpy as np
 import torch
 
@@ -18,7 +20,7 @@ from compose.fusion.parents import Parents
 from compose.image.colour import MOST, Image, filled, outliers
 from compose.image.device_image import DeviceImage, all_plain
 from hybrid.base.compute_device import device_arrays
-from pathtrace.trace.traced_images import denoise, denoise_coarsely
+from pathtrace.trace.traced_images import denoise
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Float, UInt
@@ -29,13 +31,11 @@ class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
     The radiance is linear and of the whole frame (ValueError if it is not); only the rectangle around the
-    disc is used. The enlargement is the side of the pixels that the splats were trained on, in pixels of this
-    image.
+    disc is used.
     """
 
     camera: Camera
     radiance: DeviceImage
-    enlargement: float
 
     def __post_init__(self) -> None:
         width, height = self.radiance.width, self.radiance.height
@@ -46,19 +46,25 @@ class Underlay:
 
 
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
-    """The images that are fused, of the disc's pixels; `quick` for the quicker denoiser."""
+    """The images that are fused, of the disc's pixels; if `quick`, without denoised samples."""
     splats = disc.of_frame(underlay.radiance)
     images = DiscImages.of(disc, samples, splats)
     variance = disc.images(samples.variance(), [dr.inf] * 3)
-    shown = [*images.radiance, *images.albedo, *images.normal, images.count, *splats, *variance]
+    shown = [*images.radiance, *images.albedo, images.count, *splats, *variance]
     planes = _planes(disc, shown).permute(1, 2, 0)
-    traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3], dim=2)
-    if disc.tiling is None:
-        denoised = _torch(denoised_for_fusion(images.tensors(), quick))
-    else:
-        # Tiles with their borders have twice as many pixels, and detail that half the resolution would lose.
-        denoised, quick = _torch(denoise(*_plain(images.tensors()), True)), False
-    return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
+    traced, albedo, count, splat, unknown = torch.split(planes, [3, 3, 1, 3, 3], dim=2)
+    denoised = None
+    if not quick:
+        # Tiles with their borders have twice as many pixels.
+        denoised = _torch(denoise(*_plain(images.tensors()), disc.tiling is not None))
+    return Parents(traced, unknown, splat, albedo, count, denoised)
+
+
+def smooth(image: torch.Tensor) -> torch.Tensor:
+    """(1, 3, H, W) without Monte Carlo noise, by the quicker denoiser without auxiliary features."""
+    pixels = image[0].permute(1, 2, 0).contiguous()
+    found = mitsuba_oidn.denoise(pixels, hdr=True, quality=mitsuba_oidn.Quality.Fast)
+    return found.permute(2, 0, 1)[None]
 
 
 @dataclass(frozen=True)
@@ -113,11 +119,6 @@ class DiscImages:
         return type(radiance)(np.where(wrong, image, right))
 
 
-def denoised_for_fusion(tensors: list[mi.TensorXf], quick: bool) -> mi.TensorXf:
-    """(h, w, 3) tensor of denoised radiance as one parent of several; at half the resolution if quick."""
-    return (denoise_coarsely if quick else denoise)(*_plain(tensors))
-
-
 def _plain(tensors: list[mi.TensorXf]) -> tuple[mi.TensorXf, mi.TensorXf, mi.TensorXf]:
     """Radiance, albedo and normal (h, w, 3), what surrounds them in place of outliers of radiance."""
     radiance, albedo, normal = tensors
@@ -128,14 +129,15 @@ def _plain(tensors: list[mi.TensorXf]) -> tuple[mi.TensorXf, mi.TensorXf, mi.Ten
 
 
 def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: UInt) -> list[list[Float]]:
-    """Of images (h, w, 3) of a disc three Floats (N,) each, in some of its pixels, UInt (N,)."""
+    """Of each image (h, w, C) of a disc C Floats (N,), in some of its pixels, UInt (N,)."""
     arrays, size = disc.arrays, disc.arrays.constant(disc.shape[0] * disc.shape[1])
     # At once: each tensor that Dr.Jit takes costs as much as a small kernel.
     planes = torch.cat([torch.as_tensor(image).permute(2, 0, 1).flatten() for image in images])
     values = arrays.plain.Float(planes.numpy() if arrays.backend == "cuda" and not planes.is_cuda else planes)
-    at = [pixels + size * number for number in range(3 * len(images))]
-    channels = [dr.gather(type(values), values, index) for index in at]
-    return [channels[k : k + 3] for k in range(0, len(channels), 3)]
+    counts = [image.shape[2] for image in images]
+    at = [pixels + size * number for number in range(sum(counts))]
+    channels = iter([dr.gather(type(values), values, index) for index in at])
+    return [list(islice(channels, count)) for count in counts]
 
 
 def _planes(disc: Disc, channels: list[Float]) -> torch.Tensor:

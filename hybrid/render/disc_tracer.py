@@ -17,8 +17,9 @@ from compose.fovea.adaptive import allotted, disagreement, window_sum
 from compose.fovea.disc import Disc
 from compose.fovea.history import History
 from compose.fovea.samples import Samples, averaged_features, merged, put, taken
+from compose.fusion.combination import without_samples
 from hybrid.base.compute_device import device_arrays
-from hybrid.render.disc_images import Underlay, channels_of, parents_of
+from hybrid.render.disc_images import Underlay, channels_of, parents_of, smooth
 from pathtrace.trace.film import pixel_positions
 from pathtrace.trace.first_hit import AuxiliaryFeatures
 from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
@@ -273,11 +274,11 @@ def _first_spp(spp: int) -> int:
 def _second_counts(request: DiscRequest, known: Samples, have: Float, underlay: Underlay) -> int | Counts:
     """The samples that go where what is known disagrees with the splats; `have` (D,) surround each pixel."""
     disc = request.disc
-    # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
+    # Where samples go needs no fine detail.
     parents = parents_of(disc, known, underlay, quick=True)
     everywhere = dr.arange(disc.arrays.plain.UInt, disc.shape[0] * disc.shape[1])
-    denoised, splat = channels_of(disc, [parents.denoised, parents.splat], everywhere)
-    differs = disagreement(disc.arrays, denoised, splat, disc.shape)
+    found = [without_samples(parents, smooth), parents.splat]
+    differs = disagreement(disc.arrays, *channels_of(disc, found, everywhere), disc.shape)
     worth = dr.gather(type(differs), differs, disc.inside)
     left = (request.spp - _first_spp(request.spp)) * disc.count
     # The second samples must not repeat the random numbers of the first ones.

@@ -1,4 +1,4 @@
-"""What a forest's file carries for the renderer: fusion network, plan, training views, expected errors."""
+"""What a forest's file carries for the renderer: plan, training views, expected errors."""
 
 from __future__ import annotations
 
@@ -11,43 +11,16 @@ import numpy as np
 import torch
 
 from compose.base.errors import UserError
-from compose.base.files import under
 from compose.camera.camera import Camera
-from compose.fusion.network import Fusion
 from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
 from pathtrace.trace.path_depths import UNBOUNDED
 from splat.model.forest import ABOUT, Forest
 
-# Names of what is attached: a prefix for the network's state, the plan, the table of views, errors, seconds.
-_FUSION, _PLAN, _VIEWS, _ERRORS = "fusion.", "plan.json", "views.cameras", "errors.coarsest"
+# Names of what is attached: the plan, the table of views, errors, seconds.
+_PLAN, _VIEWS, _ERRORS = "plan.json", "views.cameras", "errors.coarsest"
 _SECONDS = ABOUT + "seconds"
 # Of each view width, height, focal lengths and principal point, then the world-to-camera transform.
 _NUMBERS = 6 + 16
-
-
-def attach_fusion(forest: Forest, fusion: Fusion) -> Forest:
-    """The forest with a fitted network attached, which its file then contains."""
-    state = {_FUSION + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
-    return replace(forest, attached=forest.attached | state)
-
-
-def fusion_of(forest: Forest) -> Fusion | None:
-    """The network that is attached to a forest, or None; UserError if it is damaged or of another version."""
-    state = under(_FUSION, forest.attached)
-    if not state:
-        return None
-    fusion = Fusion()
-    try:
-        fusion.load_state_dict(state)
-    except RuntimeError as error:
-        raise UserError(
-            "the forest's fusion network is damaged or of another version; train the forest again"
-        ) from error
-    if not all(bool(tensor.isfinite().all()) for tensor in state.values()):
-        raise UserError("the forest's fusion network has weights that are not finite; train the forest again")
-    # On a CPU this layout takes two thirds of the time of contiguous weights.
-    fusion = fusion.requires_grad_(False).eval()
-    return fusion.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def attach_plan(forest: Forest, values: Mapping[str, Any]) -> Forest:

@@ -12,10 +12,9 @@ from compose.fovea.disc import Disc, thinned
 from compose.fovea.foveation import FoveaMode
 from compose.fovea.samples import Samples
 from compose.fusion.combination import fuse
-from compose.fusion.network import Fusion
 from compose.image.device_image import DeviceImage
-from hybrid.base.compute_device import device_arrays, torch_working_on
-from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of
+from hybrid.base.compute_device import torch_working_on
+from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of, smooth
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from pathtrace.trace.tracer import Tracer
 
@@ -31,8 +30,8 @@ class FoveaImage:
         disc: the pixels, and the weights of the blend.
         radiance: three channels, linear.
         samples: of each pixel, including those of earlier frames.
-        denoised: three channels, linear radiance; None if raw.
-        weights: three channels, share of each parent (compose.fusion.parents.PARENTS); None unless fused.
+        denoised: three channels, linear radiance; None if raw, or fused without it.
+        weights: share of each parent (compose.fusion.parents.PARENTS), a channel each; None unless fused.
         excluded: pixels in which a parent was left out (compose.fusion.parents.Fused).
     """
 
@@ -47,13 +46,11 @@ class FoveaImage:
 class Fovea:
     """Traces and reconstructs the foveas of one scene.
 
-    Without a network that was fitted to the scene, they are fused by statistics alone. With a history,
-    samples of earlier frames are reused.
+    With a history, samples of earlier frames are reused.
     """
 
-    def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):
+    def __init__(self, tracer: Tracer, history: bool = False):
         self.disc = DiscTracer(tracer, history)
-        self._fusion = None if fusion is None else fusion.to(device_arrays().device)
 
     def thins_band(self, mode: FoveaMode) -> bool:
         """Whether fewer samples are traced in the band; only possible if no other pixel depends on them."""
@@ -96,9 +93,10 @@ class Fovea:
         underlay: Underlay | None = None,
         quick: bool = False,
     ) -> FoveaImage:
-        """Makes the fovea from the samples of the disc's pixels, with the quicker denoiser if `quick`.
+        """Makes the fovea from the samples of the disc's pixels, in less time if `quick`.
 
-        A denoised fovea requires the surroundings, radiance that fills the disc's image where it has no
+        Then a denoised one is made by the quicker denoiser, and a fused one without denoised samples. A
+        denoised fovea requires the surroundings, radiance that fills the disc's image where it has no
         samples; a fused one requires the underlay, the splats under the disc, in the same view. ValueError
         if they are missing.
         """
@@ -115,7 +113,8 @@ class Fovea:
             raise ValueError("a fused fovea requires the splats under the disc")
         parents = parents_of(disc, samples, underlay, quick)
         with torch_working_on(disc.shape[0] * disc.shape[1]):
-            fused = fuse(parents, self._fusion)
-        made = [fused.radiance, parents.denoised, fused.weights]
-        radiance, shown, weights = channels_of(disc, made, disc.inside)
-        return FoveaImage(disc, radiance, samples, shown, weights, fused.excluded)
+            fused = fuse(parents, smooth)
+        made = [fused.radiance, fused.weights]
+        made += [] if parents.denoised is None else [parents.denoised]
+        radiance, weights, *denoised = channels_of(disc, made, disc.inside)
+        return FoveaImage(disc, radiance, samples, *(denoised or [None]), weights, fused.excluded)

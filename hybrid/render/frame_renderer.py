@@ -24,7 +24,7 @@ from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.base.identity import require_scene
 from hybrid.render.disc_images import Underlay
 from hybrid.render.expected_errors import ExpectedErrors
-from hybrid.render.forest_attachments import fusion_of, scene_as_trained
+from hybrid.render.forest_attachments import scene_as_trained
 from hybrid.render.fovea import Fovea, FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import DEFAULTS, EXTRA_AOVS, INTERACTIVE, FrameSettings
@@ -79,7 +79,6 @@ class Renderer:
         require_scene(forest, self.scene.name, self.scene.hash, "this forest")
         self.periphery, self._time = Periphery(self._arrays, forest), 0.0
         self._filler, self._errors = Filler(self._arrays, forest), ExpectedErrors(self._arrays, forest)
-        self._fusion = fusion_of(forest)
         self._foveas.clear()
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
@@ -90,7 +89,7 @@ class Renderer:
         """The fovea of frames with these settings; samples of different integrators are never mixed."""
         integrator = settings.used_integrator
         if integrator not in self._foveas:
-            self._foveas[integrator] = Fovea(self.tracer_of(integrator), self._fusion, self._history)
+            self._foveas[integrator] = Fovea(self.tracer_of(integrator), self._history)
         return self._foveas[integrator]
 
     def lights_changed(self) -> None:
@@ -271,7 +270,7 @@ class Renderer:
             under = self.periphery.under_disc(camera, settings, region)
         # A copy: what lies under the disc of a still view is drawn once.
         radiance = under if fill is None else fill.over(under.packed())
-        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
+        return Underlay(camera, radiance)
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
         """A frame's disc, without rendering a periphery."""

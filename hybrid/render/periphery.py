@@ -233,10 +233,6 @@ class Periphery:
         layer = CONTINUOUS if settings.is_continuous else self.layers_of(settings)[1]
         return Under(layer, region.foveal_tiles(TILE))
 
-    def enlargement(self, camera: Camera, settings: FrameSettings) -> float:
-        """Side of the pixels that the finest allowed layer was trained on, in pixels of a camera."""
-        return camera.fy / self.forest.focal_of(self.layers_of(settings)[1])
-
     def whole(self, camera: Camera, settings: FrameSettings) -> SplatImage:
         """The finest allowed layer over the whole frame at full rate."""
         return self._renderer.render_layer(camera, self.layers_of(settings)[1])

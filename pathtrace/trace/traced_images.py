@@ -12,14 +12,11 @@ import mitsuba_oidn
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import constant
 from compose.camera.camera import Camera
 from compose.image.colour import Image
 from pathtrace.trace.film import FilmPositions, frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 
-# Added to the albedo before radiance is divided by it, so that dark surfaces do not amplify noise.
-_ALBEDO_OFFSET = 0.1
 # Where all radiance is below 1e-8, OIDN finds no exposure and returns some 1e-6 of an image of its own.
 # Images with a smaller peak than this are scaled by a power of two, exactly, before and after.
 _LEAST_PEAK = 2.0**-8
@@ -63,62 +60,6 @@ def _denoised(radiance: mi.TensorXf, albedo: mi.TensorXf, normal: mi.TensorXf, q
 
 def _exponent(peak: float) -> int:
     return math.frexp(peak)[1] if 0 < peak < _LEAST_PEAK else 0
-
-
-def denoise_coarsely(radiance: mi.TensorXf, albedo: mi.TensorXf, normal: mi.TensorXf) -> mi.TensorXf:
-    """`denoise` of tensors at half the resolution, which restores the albedo's detail, in half the time."""
-    coarse = _halved([radiance, albedo, normal])
-    # Radiance over albedo varies slowly: it loses little at half the resolution.
-    light = _denoised(coarse[0], coarse[1], coarse[2], True) / (coarse[1] + _ALBEDO_OFFSET)
-    dr.eval(light)
-    return _doubled(light, radiance.shape) * (albedo + _ALBEDO_OFFSET)
-
-
-def _halved(images: list[Any]) -> list[Any]:
-    """(ceil(H / 2), ceil(W / 2), 3) means of 2 x 2 pixels; an odd last row or column is repeated."""
-    height, width = images[0].shape[:2]
-    shape = (height + 1) // 2, (width + 1) // 2, 3
-    values = _Values(images[0], shape)
-    taps = [values.at(2 * values.row + k // 2, 2 * values.column + k % 2) for k in range(4)]
-    halved = [
-        type(image)(0.25 * sum(dr.gather(type(image.array), image.array, tap) for tap in taps), shape)
-        for image in images
-    ]
-    dr.eval(halved)
-    return halved
-
-
-def _doubled(image: mi.TensorXf, shape: tuple[int, ...]) -> mi.TensorXf:
-    """(*shape) by linear interpolation of an image of half the size; the border is repeated."""
-    values = _Values(image, shape)
-    # Each new pixel centre lies a quarter of the way from an old one to the next.
-    rows, columns = (
-        ((at // 2, 0.75), (at // 2 + 2 * (at & 1) - 1, 0.25)) for at in (values.row, values.column)
-    )
-    mixed = sum(
-        down * right * dr.gather(type(image.array), image.array, values.at(row, column))
-        for row, down in rows
-        for column, right in columns
-    )
-    return type(image)(mixed, shape)
-
-
-class _Values:
-    """Where values of an image (H, W, 3), one lane each, are in a source; rows and columns are signed."""
-
-    def __init__(self, source: mi.TensorXf, shape: tuple[int, ...]):
-        Int = dr.int32_array_t(type(source.array))
-        width, self._height, self._width = (constant(Int, n) for n in (shape[1], *source.shape[:2]))
-        index = dr.arange(Int, shape[0] * shape[1] * 3)
-        pixel = index // 3
-        self._channel = index - 3 * pixel
-        self.row = pixel // width
-        self.column = pixel - self.row * width
-
-    def at(self, row: mi.Int32, column: mi.Int32) -> dr.ArrayBase:
-        """Where in the source the values of a row and column are, its border repeated."""
-        row, column = dr.clip(row, 0, self._height - 1), dr.clip(column, 0, self._width - 1)
-        return dr.uint32_array_t(type(row))((row * self._width + column) * 3 + self._channel)
 
 
 @dataclass(frozen=True)

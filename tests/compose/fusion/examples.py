@@ -1,4 +1,4 @@
-"""A wall seen by all parents, and a network with opinions."""
+"""A wall seen by all parents."""
 
 from __future__ import annotations
 
@@ -9,10 +9,16 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from compose.fusion import combination
-from compose.fusion.fitting import Example, FusionReference
-from compose.fusion.network import Fusion
-from compose.fusion.parents import Parents
+from compose.fusion.parents import Parents, box_mean
 from tests import small
+
+
+@dataclass(frozen=True)
+class Example:
+    """Parents, and the radiance (H, W, 3) that they were made from."""
+
+    parents: Parents
+    radiance: np.ndarray
 
 
 def example(seed: int, spp: int, size: int = 96) -> Example:
@@ -30,16 +36,9 @@ def example(seed: int, spp: int, size: int = 96) -> Example:
         denoised=denoised.astype(np.float32),
         splat=blurred(truth, 1.5),
         albedo=albedo,
-        normal=np.broadcast_to(np.float32([0, 0, 1]), shape),
         count=np.full((size, size, 1), spp, dtype=np.float32),
-        enlargement=2.0,
     )
-    return Example(parents, FusionReference(truth, (truth, truth)), seed)
-
-
-def radiance_of(given: Example) -> np.ndarray:
-    """(H, W, 3) radiance that an example was made from."""
-    return given.reference.denoised
+    return Example(parents, truth)
 
 
 def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -52,30 +51,26 @@ def error(image: np.ndarray, truth: np.ndarray) -> float:
     return 10 * np.log10(np.mean((image - truth) ** 2))
 
 
-def random_fusion() -> Fusion:
-    """The network before fitting, but with random outputs."""
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        fusion = Fusion()
-        torch.nn.init.normal_(fusion.judge.weight, std=0.3)
-    return fusion.eval()
+IMAGES = ("traced", "variance", "denoised", "splat", "albedo", "count")
 
 
-IMAGES = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
+def smooth(image: torch.Tensor) -> torch.Tensor:
+    """A denoiser: blurs over 9 pixels."""
+    return box_mean(box_mean(box_mean(box_mean(image))))
 
 
 @dataclass(frozen=True)
 class PlainFused:
-    """A Fused in host memory: radiance and weights (H, W, 3)."""
+    """A Fused in host memory: radiance (H, W, 3) and weights (H, W, 4)."""
 
     radiance: np.ndarray
     weights: np.ndarray
     excluded: int
 
 
-def fuse(parents: Parents, fusion: Fusion | None) -> PlainFused:
+def fuse(parents: Parents) -> PlainFused:
     """The estimate from all parents, in host memory."""
-    found = combination.fuse(parents, fusion)
+    found = combination.fuse(parents, smooth)
     return PlainFused(found.radiance.numpy(), found.weights.numpy(), found.excluded)
 
 
@@ -86,5 +81,4 @@ def in_torch(parents: Parents) -> Parents:
 
 def cropped(parents: Parents, height: int, width: int) -> Parents:
     """The upper left part of all images."""
-    images = {name: getattr(parents, name)[:height, :width].copy() for name in IMAGES}
-    return Parents(**images, enlargement=parents.enlargement, quick=parents.quick)
+    return Parents(**{name: getattr(parents, name)[:height, :width].copy() for name in IMAGES})

@@ -9,19 +9,9 @@ import pytest
 import torch
 
 from compose.fusion import combination
-from compose.fusion.combination import regressed, trust
-from compose.fusion.network import Fusion
+from compose.fusion.combination import trust, without_samples
 from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import (
-    IMAGES,
-    cropped,
-    error,
-    example,
-    fuse,
-    in_torch,
-    radiance_of,
-    random_fusion,
-)
+from tests.compose.fusion.examples import IMAGES, cropped, error, example, fuse, in_torch, smooth
 
 
 def flat(value: float, side: int = 32) -> torch.Tensor:
@@ -35,41 +25,38 @@ def counts(value: float, side: int = 32) -> torch.Tensor:
 def uniform(size: int = 32, count: float = 4, **values: float) -> Parents:
     """Uniform parents: radiance and albedo of 0.5 but for the given values, variance 0.01."""
     shape = (size, size, 3)
-    names = ("traced", "variance", "denoised", "splat", "albedo", "normal")
+    names = ("traced", "variance", "denoised", "splat", "albedo")
     images = {n: np.full(shape, values.get(n, 0.01 if n == "variance" else 0.5), np.float32) for n in names}
-    return Parents(**images, count=np.full((size, size, 1), count, np.float32), enlargement=1.0)
+    return Parents(**images, count=np.full((size, size, 1), count, np.float32))
 
 
-@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
-def test_with_more_samples_the_traced_radiance_takes_over(fusion):
+def test_with_more_samples_the_traced_radiance_takes_over():
     """However wrong the other parents are, weight and radiance go to the samples and the error to theirs."""
     shares, excess = [], []
     for spp in (16, 256, 4096, 1 << 24):
         given = example(3, spp)
         wrong = replace(given.parents, splat=given.parents.splat * 0.7 + 0.1)
-        fused = fuse(wrong, fusion)
+        fused = fuse(wrong)
         shares.append(fused.weights[..., 0].mean())
-        excess.append(error(fused.radiance, radiance_of(given)) - error(wrong.traced, radiance_of(given)))
+        excess.append(error(fused.radiance, given.radiance) - error(wrong.traced, given.radiance))
     # In between, the denoised samples may be preferred to the others.
     assert shares[1:] == sorted(shares[1:])
     assert shares[-1] > 0.99
     assert abs(excess[-1]) < 0.1
 
 
-@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
 @pytest.mark.parametrize("spp", [4, 64])
-def test_weights_sum_to_one(fusion, spp):
-    fused = fuse(example(5, spp).parents, fusion)
+def test_weights_sum_to_one(spp):
+    fused = fuse(example(5, spp).parents)
     np.testing.assert_allclose(fused.weights.sum(axis=2), 1, atol=1e-5)
     assert fused.weights.min() >= 0
     assert fused.excluded == 0
 
 
-@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
-def test_parents_that_agree_are_kept_at_any_scale(fusion):
+def test_parents_that_agree_are_kept_at_any_scale():
     """Radiance is linear and unbounded: a lamp of radiance 5000 stays one."""
     agreed = replace(uniform(), traced=lamp(), denoised=lamp(), splat=lamp(), variance=0 * lamp())
-    np.testing.assert_allclose(fuse(agreed, fusion).radiance, 5000, rtol=1e-3)
+    np.testing.assert_allclose(fuse(agreed).radiance, 5000, rtol=1e-3)
 
 
 def lamp() -> np.ndarray:
@@ -80,70 +67,21 @@ def lamp() -> np.ndarray:
 def test_odd_sizes_are_fused_like_even_ones(height, width):
     """Away from the last row and column, padding hardly makes a difference."""
     given = example(7, 4).parents
-    whole, part = (
-        fuse(parents, random_fusion()) for parents in (cropped(given, 72, 72), cropped(given, height, width))
-    )
+    whole, part = (fuse(parents) for parents in (cropped(given, 72, 72), cropped(given, height, width)))
     assert part.radiance.shape == (height, width, 3)
-    assert part.weights.shape == (height, width, 3)
+    assert part.weights.shape == (height, width, 4)
     # At a quarter of the resolution an odd side is a fraction of a pixel longer, so they agree only nearly.
     assert error(part.radiance[:40, :40], whole.radiance[:40, :40]) < -42
 
 
-def test_many_samples_decide_whether_denoising_is_nearer_to_the_truth():
-    """From 32 samples per pixel on, an exact denoised image takes over from the network's estimate."""
-    given = example(5, 64)
-    exact = replace(given.parents, denoised=radiance_of(given), splat=given.parents.splat * 0.8)
-    few, many = (
-        fuse(replace(exact, count=np.full_like(exact.count, count)), random_fusion()) for count in (31, 32)
-    )
-    assert many.weights[..., 1].mean() > few.weights[..., 1].mean() + 0.2
-    assert error(many.radiance, radiance_of(given)) < error(few.radiance, radiance_of(given)) - 3
-
-
-def test_the_network_knows_the_denoiser():
-    given = example(2, 16).parents
-    slow, quick = (fuse(replace(given, quick=quick), random_fusion()) for quick in (False, True))
-    assert not np.allclose(slow.radiance, quick.radiance)
-
-
-@pytest.mark.parametrize(("index", "name"), [(1, "denoised"), (2, "splat")])
-def test_a_parent_that_a_fusion_shows_alone_is_shown(index, name):
-    """Of unknown variance, so that the samples cannot object."""
-    given = example(2, 2).parents
-    given = replace(given, variance=np.full_like(given.variance, np.inf))
-    fusion = Fusion()
-    fusion.shares[:] = torch.eye(3)[index]
-    fused = fuse(given, fusion)
-    np.testing.assert_allclose(fused.radiance, getattr(given, name), rtol=1e-5)
-    assert (fused.weights == np.eye(3)[index]).all()
-
-
-def test_shares_mix_the_network_with_both_parents():
-    given = example(2, 2).parents
-    given = replace(given, variance=np.full_like(given.variance, np.inf))
-    network, mixed = Fusion(), Fusion()
-    mixed.shares[:] = torch.tensor([0.5, 0.2, 0.3])
-    alone, fused = fuse(given, network), fuse(given, mixed)
-    expected = 0.5 * alone.radiance + 0.2 * given.denoised + 0.3 * given.splat
-    np.testing.assert_allclose(fused.radiance, expected, rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(fused.weights, 0.5 * alone.weights + [0, 0.2, 0.3], atol=1e-5)
-
-
-def test_the_network_knows_the_enlargement():
-    given = example(2, 16).parents
-    small, large = (fuse(replace(given, enlargement=side), random_fusion()) for side in (1.0, 4.0))
-    assert not np.allclose(small.radiance, large.radiance)
-
-
-@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
 @pytest.mark.parametrize("name", ["traced", "denoised", "splat"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_an_invalid_parent_is_left_out_and_counted(name, value, fusion):
+def test_an_invalid_parent_is_left_out_and_counted(name, value):
     given = example(6, 4)
     image = getattr(given.parents, name).copy()
     image[10, 20, 1] = image[30, 40] = value
     before = image.copy()
-    fused = fuse(replace(given.parents, **{name: image}), fusion)
+    fused = fuse(replace(given.parents, **{name: image}))
     assert fused.excluded == 2
     assert np.isfinite(fused.radiance).all()
     assert fused.radiance.min() >= 0
@@ -166,7 +104,7 @@ def test_the_other_parents_stand_in_for_an_invalid_one(bad, expected):
     given = uniform()
     for name in bad:
         getattr(given, name)[16, 16] = np.nan
-    fused = fuse(given, None)
+    fused = fuse(given)
     assert fused.excluded == 1
     if bad == ("denoised", "splat"):
         assert 0 <= fused.radiance[16, 16].max() <= 0.5
@@ -176,60 +114,27 @@ def test_the_other_parents_stand_in_for_an_invalid_one(bad, expected):
 
 
 def test_an_invalid_sample_is_not_trusted_to_correct_the_estimate():
-    """The samples are black where the other parents are 0.5; in an invalid pixel these are kept."""
+    """The samples are black where the other parents are 0.5; in an invalid pixel the estimate is kept."""
     given = uniform(traced=0.0, variance=1e-6)
     given.traced[16, 16] = np.nan
-    fused = fuse(given, None)
-    np.testing.assert_allclose(fused.radiance[16, 16], 0.5, atol=1e-3)
+    fused, estimate = fuse(given), without_samples(given, smooth).numpy()
+    np.testing.assert_allclose(fused.radiance[16, 16], estimate[16, 16], rtol=1e-3)
+    assert estimate[4, 4].min() > 0.05
     assert fused.radiance[4, 4].max() < 0.01
 
 
-@pytest.mark.parametrize("name", ["albedo", "normal"])
-def test_invalid_auxiliary_features_do_not_spread(name):
+def test_an_invalid_albedo_does_not_spread():
     given = example(6, 4).parents
-    image = np.array(getattr(given, name))
+    image = np.array(given.albedo)
     image[10, 20] = np.nan
     image[30, 40] = -np.inf
-    fused = fuse(replace(given, **{name: image}), random_fusion())
+    fused = fuse(replace(given, albedo=image))
     assert fused.excluded == 0
     assert np.isfinite(fused.radiance).all()
 
 
-def way(length: float, at: float, noise: float) -> np.ndarray:
-    """(N,) shares of the way found between two flat images, where the truth lies at that share."""
-    start, end = torch.full((1, 3, 96, 96), 0.5), torch.full((1, 3, 96, 96), 0.5 + length)
-    generator = torch.Generator().manual_seed(0)
-    traced = start + at * length + noise * torch.randn(start.shape, generator=generator)
-    return regressed(start, end, traced, torch.full_like(start, noise**2)).numpy().ravel()
-
-
-def test_many_samples_tell_which_of_two_estimates_is_nearer():
-    for at in (0.0, 0.4, 1.0):
-        np.testing.assert_allclose(way(0.1, at, 1e-4), at, atol=0.02)
-    np.testing.assert_allclose(way(0.1, 1.7, 1e-4), 1, atol=0.02)
-    np.testing.assert_allclose(way(0.1, -0.5, 1e-4), 0, atol=0.02)
-
-
-def test_few_samples_leave_the_first_estimate_as_it_is():
-    """Their noise would choose at random; it gets at most about a tenth."""
-    assert way(0.02, 1.0, 0.3).max() < 0.12
-    assert way(0.02, 0.0, 0.3).max() < 0.12
-
-
-def test_noise_lengthens_the_way():
-    """0.5 * 0.1^2 over 0.1^2 + 24 / 36 * 0.003."""
-    share = regressed(flat(0.5), flat(0.6), flat(0.55), flat(0.003))
-    np.testing.assert_allclose(share, 0.41667, atol=1e-4)
-    assert (regressed(flat(0.5), flat(0.6), flat(0.55), flat(np.inf)) == 0).all()
-
-
 def test_a_pixel_of_unknown_variance_says_nothing_about_its_neighbours():
     """It counts as one without noise among nine blocks of four pixels: a 36th less noise at most."""
-    variance = flat(0.003)
-    variance[..., 16, 16] = np.inf
-    share = regressed(flat(0.5), flat(0.6), flat(0.55), variance)
-    assert share[0, 0, 16, 16] == 0
-    np.testing.assert_allclose(share[0, 0, 17, 17], 0.41667, rtol=0.02)
     traced = flat(1.2)
     variance = flat(0.01)
     variance[..., 16, 16] = np.inf
@@ -242,7 +147,7 @@ def test_noise_alone_does_not_count_as_bias():
     """An exact estimate keeps nearly all of its share beside noisy samples, a biased one does not."""
     given = example(4, 4)
     batch = lambda image: torch.from_numpy(image.copy()).permute(2, 0, 1)[None]  # noqa: E731
-    truth, traced = batch(radiance_of(given)), batch(given.parents.traced)
+    truth, traced = batch(given.radiance), batch(given.parents.traced)
     variance = batch(given.parents.variance)
     count = torch.full_like(truth[:, :1], 4)
     assert trust(truth, traced, variance, count).mean() > 0.97
@@ -294,11 +199,10 @@ def broken(name: str, value: float) -> Parents:
     return replace(given, **{name: image})
 
 
-@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
 @pytest.mark.parametrize(("height", "width"), [(64, 64), (33, 47), (1, 1)])
-def test_images_of_torch_are_fused_like_those_of_numpy(fusion, height, width):
+def test_images_of_torch_are_fused_like_those_of_numpy(height, width):
     given = cropped(example(7, 4).parents, height, width)
-    one, other = fuse(given, fusion), fuse(in_torch(given), fusion)
+    one, other = fuse(given), fuse(in_torch(given))
     np.testing.assert_array_equal(one.radiance, other.radiance)
     np.testing.assert_array_equal(one.weights, other.weights)
     assert one.excluded == other.excluded
@@ -310,7 +214,7 @@ def test_images_of_torch_are_fused_like_those_of_numpy(fusion, height, width):
 def test_images_of_torch_are_left_as_they_are(name, value):
     given = broken(name, value)
     tensors = in_torch(given)
-    one, other = fuse(given, random_fusion()), fuse(tensors, random_fusion())
+    one, other = fuse(given), fuse(tensors)
     np.testing.assert_array_equal(one.radiance, other.radiance)
     assert one.excluded == other.excluded == (name != "albedo")
     for image in IMAGES:
@@ -321,12 +225,12 @@ def test_planes_side_by_side_are_fused_like_images():
     """A tensor (3, h, w) that is seen as (h, w, 3)."""
     given = in_torch(example(7, 4).parents)
     planes = {n: getattr(given, n).permute(2, 0, 1).contiguous().permute(1, 2, 0) for n in IMAGES}
-    one, other = fuse(given, random_fusion()), fuse(replace(given, **planes), random_fusion())
+    one, other = fuse(given), fuse(replace(given, **planes))
     np.testing.assert_array_equal(one.radiance, other.radiance)
 
 
 def test_the_estimate_is_a_tensor_where_the_parents_are():
-    found = combination.fuse(in_torch(example(7, 4).parents), random_fusion())
+    found = combination.fuse(in_torch(example(7, 4).parents), smooth)
     for image in (found.radiance, found.weights):
         assert isinstance(image, torch.Tensor)
         assert image.device.type == "cpu"

@@ -1,0 +1,131 @@
+"""Estimates of radiance from splats and few samples, and how they are mixed by what the samples tell.
+
+Splats are corrected in two ways. They are sharpened: where the traced albedo varies within the size of a
+splat, so must the radiance. And they are relit: what the samples have more or less than the splats varies
+slowly, so that its ratio is denoised at half the resolution, in a tenth of the time that denoising all of the
+radiance takes, and the splats keep their detail (a ratio estimator, as Heitz et al. 2018 denoise shadows).
+
+All is measured in radiance x relative to its level l, as x / (x + l): that depends on no unit, and an outlier
+counts for 1 at most. Images are (N, 3, H, W), levels and counts (N, 1, H, W).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from compose.fusion.parents import box_mean, enlarged, halved
+
+# Removes Monte Carlo noise from an image (1, 3, H, W).
+Denoise = Callable[[Tensor], Tensor]
+# Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
+# denoised samples and without: by `python -m benchmarks.fit_fusion`.
+ODDS = (
+    (-2.240, -0.183, 0.010, 0.355, 0.041, -0.098, 0.058, 0.122, -0.006, -0.023),  # relit splats
+    (3.387, -0.149, 0.523, -0.016, 0.508, -0.335, 0.221, 0.497, 0.148, 0.221),  # denoised samples
+)
+QUICK_ODDS = ((2.031, -0.551, 0.661, 0.511, 0.345),)
+_FURTHEST, _MOST_SAMPLES = 3.0, 64.0
+# Squared differences below this count as none, and light below this share of the image's as dark.
+_SAME, _DARK = 1e-5, 0.1
+# Albedo below this counts as black: its logarithm would be noise.
+_BLACK = 0.03
+# Share of the texture that the splats seem to lack which they are given: samples share their noise with the
+# albedo.
+_LACKING = 0.7
+# Of what counts as dark, added to radiance before it is divided; and the largest quotient.
+_OFFSET, _MOST_RATIO = 0.5, 100.0
+
+
+def dark_of(traced: Tensor, splat: Tensor) -> Tensor:
+    """(N, 1, 1, 1) radiance that counts as dark: a share of the image's.
+
+    That is the square of its mean root, which few bright samples do not raise.
+    """
+    return _DARK * torch.sqrt((traced + splat) / 2).mean((1, 2, 3), keepdim=True) ** 2 + 1e-30
+
+
+def texture_of(albedo: Tensor) -> Tensor:
+    """Logarithm of the albedo over its means in windows of 3 pixels."""
+    return torch.log(albedo + _BLACK) - torch.log(box_mean(albedo) + _BLACK)
+
+
+def sharpened(splat: Tensor, texture: Tensor, traced: Tensor, level: Tensor) -> Tensor:
+    """Splats with the texture of the albedo that they lack, as the samples tell.
+
+    One number for the image says how much of it, by least squares; or too much, where they have more than the
+    surface.
+    """
+    seen = _seen(splat, level)
+    # Around the disc the samples are the splats themselves.
+    known = (traced != splat).any(1, keepdim=True)
+    # By which each unit of texture changes what is seen of the splats.
+    change = torch.where(known, seen * (1 - seen) * texture, 0)
+    found = (change * (_seen(traced, level) - seen)).sum((1, 2, 3), keepdim=True)
+    found = found / (change**2).sum((1, 2, 3), keepdim=True).clamp(min=_SAME)
+    return splat * torch.exp(_LACKING * found.clamp(-1, 1) * texture)
+
+
+def relit(splat: Tensor, traced: Tensor, dark: Tensor, denoise: Denoise) -> Tensor:
+    """Splats times what the samples have of their light, denoised; both sides even, dark (N, 1, 1, 1)."""
+    # Where both are dark, the ratio would be noise.
+    offset = _OFFSET * dark
+    ratio = (halved(traced) + offset) / (halved(splat) + offset)
+    ratio = enlarged(denoise(ratio.clamp(max=_MOST_RATIO)), splat)
+    return (ratio * (splat + offset) - offset).clamp(min=0)
+
+
+def shares(
+    splat: Tensor, relit: Tensor, denoised: Tensor | None, traced: Tensor, count: Tensor, level: Tensor
+) -> Tensor:
+    """(N, 3, H, W) weights of splats, relit splats and denoised samples in a mixture; 0 of what there is not.
+
+    They are logistic in the logarithms of what is seen: what a filter got wrong cannot be told from the
+    samples that it has seen, but follows a power of what it removed, at all sample counts alike.
+    """
+    seen = evidence(splat, relit, denoised, traced, count, level)
+    odds = seen.new_tensor(QUICK_ODDS if denoised is None else ODDS)
+    logits = torch.einsum("kc,nchw->nkhw", odds, seen)
+    weights = torch.softmax(torch.cat([torch.zeros_like(logits[:, :1]), logits], 1), 1)
+    weights = enlarged(weights, splat)
+    return weights if denoised is not None else torch.cat([weights, torch.zeros_like(weights[:, :1])], 1)
+
+
+def evidence(
+    splat: Tensor, relit: Tensor, denoised: Tensor | None, traced: Tensor, count: Tensor, level: Tensor
+) -> Tensor:
+    """What the odds of an estimate against the splats depend on, (N, 5 or 10, H / 4, W / 4).
+
+    The channels are 1; the logarithms of what relit splats lack of the samples and of how far they are from
+    the splats, both squared; how far the samples lie on the way from the splats to them; and the doublings of
+    the sample count. With denoised samples, the three of these; and how far these are from relit splats, and
+    the samples on the way there. What is seen is the mean over about 12 x 12 pixels.
+    """
+    samples, first, second = (_seen(image, level) for image in (traced, splat, relit))
+    products = _products(samples, first, second)
+    if denoised is not None:
+        third = _seen(denoised, level)
+        products += _products(samples, first, third) + _products(samples, second, third)[1:]
+    coarse = halved(torch.cat([*(part.mean(1, keepdim=True) for part in products), count], 1))
+    *means, number = box_mean(halved(coarse)).split(1, 1)
+    doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
+    channels = [torch.ones_like(number), torch.log(means[0] + _SAME), *_way(*means[1:3]), doublings]
+    if denoised is not None:
+        channels += [torch.log(means[3] + _SAME), *_way(*means[4:6]), *_way(*means[6:8])]
+    return torch.cat(channels, 1)
+
+
+def _products(samples: Tensor, one: Tensor, other: Tensor) -> list[Tensor]:
+    """What another estimate lacks of the samples and how far it is from one, squared, and their product."""
+    way = other - one
+    return [(samples - other) ** 2, way**2, (samples - one) * way]
+
+
+def _way(apart: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
+    return torch.log(apart + _SAME), (along / (apart + _SAME)).clamp(-_FURTHEST, _FURTHEST)
+
+
+def _seen(radiance: Tensor, level: Tensor) -> Tensor:
+    return radiance / (radiance + level)
