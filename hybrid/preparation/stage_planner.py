@@ -13,7 +13,6 @@ import numpy as np
 from hybrid.base.identity import Journal
 from hybrid.preparation.forest_training import LEAST_PACED
 from hybrid.preparation.stages import (
-    GLIMPSE,
     LEAST_SPP,
     SIDE,
     STAGES,
@@ -170,9 +169,6 @@ class JobClock:
         self._journal[_KEY] = self.seconds()
 
 
-# What the frames of the fusion and its fit take where stages take as long as expected. It is left out of a
-# job of less than three times as much, and has at most a share of any job.
-_FUSION, _FUSION_SHARE = Seconds(11.0, 22.0), 1 / 3
 # Share of the time that is planned with: what a stage takes is known within a few percent.
 _USED = 0.97
 # Stages after which a target is given up, and the least gain in dB for which another stage is begun.
@@ -266,23 +262,6 @@ class Planner:
         """Whether the last stage was finished, perhaps in an earlier run."""
         return f"training seconds {self.number}" in self.journal
 
-    @property
-    def fits_fusion(self) -> bool:
-        """Whether there is time for a fusion."""
-        minutes = self._settings.minutes
-        if minutes is None:
-            return self._settings.quality != GLIMPSE
-        return 60 * minutes * _FUSION_SHARE > _FUSION.at(AS_EXPECTED)
-
-    @property
-    def fusion_share(self) -> float:
-        """Share of the samples for which the fusion has time, up to 1."""
-        minutes, pace = self._settings.minutes, self._pace()
-        if minutes is None:
-            return 1.0
-        for_frames = 60 * minutes * _FUSION_SHARE - _FUSION.training * pace.training
-        return min(1.0, max(0.0, for_frames) / (_FUSION.frames * pace.frames))
-
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
@@ -307,9 +286,7 @@ class Planner:
         """Seconds left for stages; None if time does not matter."""
         if self._settings.minutes is None:
             return None
-        fusion = replace(_FUSION, frames=_FUSION.frames * self.fusion_share).at(self._pace())
-        seconds = 60 * _USED * self._settings.minutes - self.clock.seconds()
-        return seconds - fusion if self.fits_fusion else seconds
+        return 60 * _USED * self._settings.minutes - self.clock.seconds()
 
     def _pace(self) -> Seconds:
         """Seconds that finished stages took, over expected ones; before the first, as its views tell."""
