@@ -25,7 +25,7 @@ from hybrid.preparation.stages import (
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
 # and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian; to place the
 # first seeds.
-_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT, _SEEDED = 3.0e-6, 0.36e-6, 0.7e-6, 60e-6, 1.0
+_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, BUILT, _SEEDED = 3.0e-6, 0.36e-6, 0.7e-6, 60e-6, 1.0
 # A step without Gaussians, how many that the view shows take as long again, and how much longer larger frames
 # take without Gaussians.
 _STEP, _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 0.013, 18_000, 2.0
@@ -64,7 +64,7 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
         frames += _frames(earlier.views, earlier, stage.spp_at(earlier.scale) - had)
     # What a training takes besides its steps.
     besides = sum(one.views * one.side**2 for one in [*before, stage]) * _READ_PIXEL
-    besides += stage.gaussians * _BUILT if before else _SEEDED
+    besides += stage.gaussians * BUILT if before else _SEEDED
     return Seconds(frames, besides + stage.steps * step_seconds(stage))
 
 
@@ -239,7 +239,7 @@ class Planner:
         assert left is not None
         pace = replace(self._pace(), training=seconds / step_seconds(stage))
         if number:
-            left -= pace.training * stage.gaussians * _BUILT
+            left -= pace.training * stage.gaussians * BUILT
         possible = int(left / seconds)
         # No more than planned where the time that they leave is of use to further views.
         left -= seconds * stage.steps
@@ -279,7 +279,8 @@ class Planner:
         if self._settings.psnr is not None:
             return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
         if self._settings.minutes is not None:
-            return number >= _MOST_STAGES
+            # Until no further stage fits.
+            return False
         return number >= len(self._settings.stages) or not gained
 
     def _left(self) -> float | None:
