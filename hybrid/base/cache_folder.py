@@ -85,8 +85,7 @@ def has_receipt(frames: FrameSet) -> bool:
 def _receipt(frames: FrameSet) -> Path:
     """The file that is named by a hash of a frame set's description and of all its files."""
     state = hashlib.sha256(frames.digest.encode())
-    for entry in [*frames.entries, *frames.close_ups]:
-        for file in (entry.file, *entry.estimates.values(), *entry.halves):
-            # The description names the files, in this order.
-            state.update(hashlib.sha256(file.read_bytes()).digest())
+    for entry in frames.entries:
+        # The description names the files, in this order.
+        state.update(hashlib.sha256(entry.file.read_bytes()).digest())
     return scene_folder(frames.scene_name, frames.scene_hash) / "receipts" / f"{state.hexdigest()}.txt"

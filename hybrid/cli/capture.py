@@ -24,11 +24,7 @@ def capture(
     frames: o.FramesFolder,
     views: Annotated[int, o.frame(help="Training views.", max=_MOST_VIEWS)] = 64,
     held_out: Annotated[
-        int,
-        o.measurement(
-            help="Held-out views: splats are fitted to none of them, the fusion to two of three.",
-            max=_MOST_VIEWS,
-        ),
+        int, o.measurement(help="Held-out views, to which nothing is fitted.", max=_MOST_VIEWS)
     ] = 8,
     size: o.FixedSize = (256, 256),
     spp: Annotated[

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -66,7 +66,6 @@ def train(
     from hybrid.preparation.forest_errors import held_out_quality
     from hybrid.preparation.forest_training import LeftOut, planned_settings, say_left_out
     from hybrid.preparation.forest_training import train as run
-    from hybrid.preparation.fusion_training import fusion_verdicts
     from hybrid.preparation.training_views import motion_for, read_frames
     from pathtrace.dataset.posed_images import PosedFolder
 
@@ -104,27 +103,15 @@ def train(
             f"{frames} was not captured with this cache folder: the forest does not become the newest one of "
             f"{found.scene_name}; name it by --forest"
         )
-    rows, verdicts = held_out_quality(found, trained), fusion_verdicts(trained)
-    facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
+    rows = held_out_quality(found, trained)
+    facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0]}
     facts["left_out"] = asdict(left_out[0])
     facts["splat"] = {name: rows[-1][name] for name in ("psnr", "ssim") if name in rows[-1]}
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for row in rows:
         quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
         print(f"layer {row['layer']}: {row['nodes']:,} nodes{quality}")
-    _print_verdicts(verdicts)
     return {**facts, "iterations": iterations, "seconds": seconds}
-
-
-def _print_verdicts(rows: list[dict[str, Any]]) -> None:
-    """What single frames show at the splats' resolution, and by how much it beat both parents."""
-    for row in rows:
-        if row["enlargement"] == 1 and not row["quick"]:
-            alone = "splats" if row["splat"] == 1 else "denoised samples"
-            shown = f"{row['gain_db']:+.1f} dB over the better of denoised samples and splats"
-            if 1 in (row["splat"], row["denoised"]):
-                shown = f"{alone} alone: the fusion did not prove better on unseen views"
-            print(f"fused fovea at {row['spp']} spp: {shown}")
 
 
 _STEPS = 2000

@@ -17,7 +17,6 @@ from hybrid.base.compute_device import device_arrays
 from hybrid.base.progress import Steps, interrupts_between_steps, no_progress
 from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, GAUSSIANS, HALF, LAYERS, Value
 from hybrid.preparation.forest_errors import with_errors
-from hybrid.preparation.fusion_training import fusion_steps, with_fusion
 from hybrid.preparation.training_views import Frames, labelled_views, motion_for, pieces_of
 from hybrid.render.forest_attachments import attach_plan, attach_views
 from pathtrace.dataset.frame_set import FrameSet
@@ -128,10 +127,10 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     precision: Precision = Precision.COMPACT,
     paced: Callable[[float], int] | None = None,
 ) -> Forest:
-    """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
+    """Trains a forest and writes it to a file; resumes if interrupted.
 
     Args:
-        frames: third-party ones have no estimates to fit a fusion to.
+        frames: captured or third-party ones.
         path: forest file to write; a checkpoint is kept beside it until training is complete.
         settings: as planned for the frames' scene if None.
         progress: called with steps done and steps in total.
@@ -161,9 +160,8 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     del views
     checkpoint = checkpoint_path(path)
     restore_checkpoint(trainer, checkpoint, frames)
-    total = lambda: trainer.settings.iterations + fusion_steps(frames)  # noqa: E731
     save = lambda: save_checkpoint(trainer, checkpoint, frames)  # noqa: E731
-    _run(trainer, save, lambda done: progress(done, total()), paced)
+    _run(trainer, save, lambda done: progress(done, trainer.settings.iterations), paced)
     settings = trainer.settings
     scene = frames.scene_name, frames.scene_hash
     forest = forest_of(trainer.forest(), focal, *scene, trainer.place, trainer.motion, trainer.light)
@@ -171,13 +169,11 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
         raise RuntimeError("training ended with numbers that are not finite")
     check_forest(forest.layers)
     if precision is Precision.COMPACT:
-        # Before the fusion, which is fitted to what will be drawn.
+        # Before the errors, which are those of what will be drawn.
         forest = compact(forest)
     if paced is None:
         forest = with_errors(frames, forest)
-    further = lambda done, _: progress(settings.iterations + done, total())  # noqa: E731
-    forest = attach_views(with_fusion(frames, forest, settings.seed, further), cameras)
-    forest = attach_plan(forest, plan_with(frames, settings))
+    forest = attach_plan(attach_views(forest, cameras), plan_with(frames, settings))
     save_forest(path, forest)
     report(LeftOut(trainer.dropped, trainer.skipped))
     checkpoint.unlink(missing_ok=True)

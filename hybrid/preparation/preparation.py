@@ -20,7 +20,6 @@ from hybrid.base.progress import Bars, no_bars
 from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES, breadth_of, planned_needs
 from hybrid.preparation.forest_errors import Judges, with_errors
 from hybrid.preparation.forest_training import planned_settings, train
-from hybrid.preparation.fusion_training import with_fusion
 from hybrid.preparation.lighting import light_over_time
 from hybrid.preparation.scene_plan import as_planned, require_plan
 from hybrid.preparation.stage_frames import (
@@ -51,12 +50,6 @@ from splat.model.dynamic_light import SurfaceLight
 from splat.model.forest import Forest
 
 _LOG = logging.getLogger("hybrid")
-# What the fusion is fitted to: views with unbiased frames, and parts of them.
-FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
-_LEAST_FUSION_SPP = 8
-# The resolutions of these parts, by the scale of the finest frames: around that of the splats, and twice as
-# fine, since a display may show splats larger than they were trained.
-_CLOSE_UPS = {1: (2, 4), 2: (2, 3, 4), 4: (3, 4, 5, 6, 8)}
 # Views in which the bias of bounded light is measured.
 _JUDGED_BIAS = 6
 
@@ -274,21 +267,12 @@ class _Job:
         _LOG.info(f"{shown['seconds']:.0f} s: {views} views, {shown['gaussians']:,} Gaussians{quality}")
 
     def _finished(self, frames: GrowingFrames, forest: Forest) -> Forest:
-        """The forest with what it learns of its errors and, if there is time, a fusion fitted to it."""
+        """The forest with what it learns of its errors."""
         path = self.folder / "forest.safetensors"
         if path.is_file():
             return load_forest(path)
         if self.settings.quality != GLIMPSE:
             forest = with_errors(read_frame_set(frames.folder), forest)
-        if self.planner.fits_fusion:
-            cache, seed = cache_for(self.scene), self.settings.seed
-            close_ups = _CLOSE_UPS[self.planner.stages[-1].scale]
-            spp = max(_LEAST_FUSION_SPP, round(FUSION_CAPTURE.held_out_spp * self.planner.fusion_share))
-            settings = replace(FUSION_CAPTURE, held_out_spp=spp, close_ups=close_ups, seed=seed)
-            with self.bars("fusion: frames (samples)") as bar:
-                examples = capture(self.scene, self.folder / "fusion", settings, bar, cache)
-            with self.bars("fusion (steps)") as bar:
-                forest = with_fusion(examples, forest, seed, bar)
         forest = attach_seconds(forest, self.planner.clock.seconds())
         save_forest(path, forest)
         return forest
@@ -335,6 +319,8 @@ class _Job:
 
 # Good enough to look at, in a minute and a half.
 _QUALITY = "draft"
+# The frames that judge its layers: no capture is without a training view.
+JUDGED = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
 
 
 def found_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Path | None]:
@@ -369,8 +355,10 @@ def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple
 def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = no_bars) -> tuple[Forest, FrameSet]:
     """Prepares a forest in a folder, with the quick settings; resumes if interrupted.
 
-    Also returns the frames that its fusion was fitted to, with held-out views that judge its layers.
+    Also returns frames with held-out views that judge its layers.
     """
     settings = PreparationSettings(quality=_QUALITY, held_out=0, seed=seed)
     folder = folder / f"prepared-{seed}"
-    return prepare(scene, settings, bars, folder).forest, read_frame_set(folder / "fusion")
+    forest = prepare(scene, settings, bars, folder).forest
+    with bars("held-out views (samples)") as bar:
+        return forest, capture(scene, folder / "judged", replace(JUDGED, seed=seed), bar)

@@ -13,7 +13,6 @@ import numpy as np
 from hybrid.base.identity import Journal
 from hybrid.preparation.forest_training import LEAST_PACED
 from hybrid.preparation.stages import (
-    GLIMPSE,
     LEAST_SPP,
     SIDE,
     STAGES,
@@ -26,7 +25,7 @@ from hybrid.preparation.stages import (
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
 # and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian; to place the
 # first seeds.
-_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT, _SEEDED = 3.0e-6, 0.36e-6, 0.7e-6, 60e-6, 1.0
+_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, BUILT, _SEEDED = 3.0e-6, 0.36e-6, 0.7e-6, 60e-6, 1.0
 # A step without Gaussians, how many that the view shows take as long again, and how much longer larger frames
 # take without Gaussians.
 _STEP, _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 0.013, 18_000, 2.0
@@ -65,7 +64,7 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
         frames += _frames(earlier.views, earlier, stage.spp_at(earlier.scale) - had)
     # What a training takes besides its steps.
     besides = sum(one.views * one.side**2 for one in [*before, stage]) * _READ_PIXEL
-    besides += stage.gaussians * _BUILT if before else _SEEDED
+    besides += stage.gaussians * BUILT if before else _SEEDED
     return Seconds(frames, besides + stage.steps * step_seconds(stage))
 
 
@@ -170,9 +169,6 @@ class JobClock:
         self._journal[_KEY] = self.seconds()
 
 
-# What the frames of the fusion and its fit take where stages take as long as expected. It is left out of a
-# job of less than three times as much, and has at most a share of any job.
-_FUSION, _FUSION_SHARE = Seconds(11.0, 22.0), 1 / 3
 # Share of the time that is planned with: what a stage takes is known within a few percent.
 _USED = 0.97
 # Stages after which a target is given up, and the least gain in dB for which another stage is begun.
@@ -243,7 +239,7 @@ class Planner:
         assert left is not None
         pace = replace(self._pace(), training=seconds / step_seconds(stage))
         if number:
-            left -= pace.training * stage.gaussians * _BUILT
+            left -= pace.training * stage.gaussians * BUILT
         possible = int(left / seconds)
         # No more than planned where the time that they leave is of use to further views.
         left -= seconds * stage.steps
@@ -266,23 +262,6 @@ class Planner:
         """Whether the last stage was finished, perhaps in an earlier run."""
         return f"training seconds {self.number}" in self.journal
 
-    @property
-    def fits_fusion(self) -> bool:
-        """Whether there is time for a fusion."""
-        minutes = self._settings.minutes
-        if minutes is None:
-            return self._settings.quality != GLIMPSE
-        return 60 * minutes * _FUSION_SHARE > _FUSION.at(AS_EXPECTED)
-
-    @property
-    def fusion_share(self) -> float:
-        """Share of the samples for which the fusion has time, up to 1."""
-        minutes, pace = self._settings.minutes, self._pace()
-        if minutes is None:
-            return 1.0
-        for_frames = 60 * minutes * _FUSION_SHARE - _FUSION.training * pace.training
-        return min(1.0, max(0.0, for_frames) / (_FUSION.frames * pace.frames))
-
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
@@ -300,16 +279,15 @@ class Planner:
         if self._settings.psnr is not None:
             return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
         if self._settings.minutes is not None:
-            return number >= _MOST_STAGES
+            # Until no further stage fits.
+            return False
         return number >= len(self._settings.stages) or not gained
 
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""
         if self._settings.minutes is None:
             return None
-        fusion = replace(_FUSION, frames=_FUSION.frames * self.fusion_share).at(self._pace())
-        seconds = 60 * _USED * self._settings.minutes - self.clock.seconds()
-        return seconds - fusion if self.fits_fusion else seconds
+        return 60 * _USED * self._settings.minutes - self.clock.seconds()
 
     def _pace(self) -> Seconds:
         """Seconds that finished stages took, over expected ones; before the first, as its views tell."""

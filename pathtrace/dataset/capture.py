@@ -7,7 +7,6 @@ instant-ngp convention, so that other programs can read the file.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -15,23 +14,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from compose.base.errors import UserError
 from compose.base.files import read_json, write_whole
-from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, camera_from_json, camera_to_json
 from pathtrace.cache.irradiance_cache import IrradianceCache
-from pathtrace.dataset.captured_frames import (
-    is_intact,
-    read_estimate,
-    read_frame,
-    read_radiance,
-    render_estimates,
-    render_frame,
-    render_with_halves,
-    write_frame,
-)
+from pathtrace.dataset.captured_frames import is_intact, read_frame, render_frame, write_frame
 from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, FrameSet, read_frame_set
 from pathtrace.region.neighbourhood import ViewSet, choose_views, monocular_views
 from pathtrace.scene.scene import Scene
@@ -41,8 +28,6 @@ from pathtrace.trace.tracer import Tracer
 _DESCRIPTION = "transforms.json"
 # Keeps the seeds of different captures apart: far more than one capture has frames.
 _CAPTURE_SEED_STEP = 100_003
-# Samples per pixel of the estimates stored with some held-out views: what a fovea may be traced with.
-_ESTIMATE_SPP = (1, 2, 4, 16, 64)
 
 
 def describe_capture(
@@ -57,33 +42,20 @@ def describe_capture(
         raise UserError(f"held-out {count}: must be at most {most}, the views that may be held out")
     step = most / max(1, count)
     held_out = {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
-    # Every third held-out view is kept from fitting the fusion, too.
-    fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
-    spp = settings.held_out_spp
-    # Samples per pixel of a view's estimates, in all at most half of the view's own.
-    estimates = [n for i, n in enumerate(_ESTIMATE_SPP) if 2 * sum(_ESTIMATE_SPP[: i + 1]) <= spp]
     frames = [
-        _entry(
-            camera,
-            f"frames/{index:04d}",
-            spp if index in held_out else settings.spp,
-            estimates if index in fitted else [],
-            index in held_out,
-            views.times[index],
-        )
+        {
+            "file_path": f"frames/{index:04d}.exr",
+            "transform_matrix": camera_to_json(camera)["transform_matrix"],
+            "time": views.times[index],
+            "samples": settings.held_out_spp if index in held_out else settings.spp,
+            "held_out": index in held_out,
+        }
         for index, camera in enumerate(cameras)
     ]
-    described = {**asdict(settings), "close_ups": list(settings.close_ups)}
+    described = asdict(settings)
     if not settings.monocular:
         # As captures had them when there were no other views.
         del described["monocular"]
-    rng = np.random.default_rng(settings.seed)
-    close_ups = []
-    for index, factor in itertools.product(sorted(fitted), settings.close_ups):
-        part, path = _part_of(cameras[index], factor, rng), f"frames/{index:04d}-closer{factor}"
-        entry = _entry(part, path, spp, estimates, True, views.times[index])
-        # With its own intrinsics.
-        close_ups.append({**entry, **camera_to_json(part)})
     intrinsics = camera_to_json(cameras[0])
     del intrinsics["transform_matrix"]
     return {
@@ -91,8 +63,6 @@ def describe_capture(
         **intrinsics,
         **described_set(scene, described, integrator.value),
         "frames": frames,
-        # Not among the frames, all of which other programs would train on.
-        "close_ups": close_ups,
     }
 
 
@@ -130,29 +100,6 @@ def write_description(folder: Path, document: dict[str, Any]) -> None:
         raise UserError(f"{folder}: holds another capture; choose another folder or the same settings")
 
 
-def _entry(
-    camera: Camera, path: str, spp: int, estimate_spp: list[int], held_out: bool, time: float
-) -> dict[str, Any]:
-    """A frame of transforms.json; `path` has no extension."""
-    return {
-        "file_path": f"{path}.exr",
-        "transform_matrix": camera_to_json(camera)["transform_matrix"],
-        "time": time,
-        "samples": spp,
-        "held_out": held_out,
-        "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in estimate_spp],
-        "halves": [f"{path}-half{number}.exr" for number in (1, 2)] if estimate_spp else [],
-    }
-
-
-def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:
-    """A random part of a view at a multiple of its resolution, half as many pixels wide and high."""
-    large = camera.resized(camera.width * factor, camera.height * factor)
-    width, height = max(1, camera.width // 2), max(1, camera.height // 2)
-    left, top = int(rng.integers(large.width - width + 1)), int(rng.integers(large.height - height + 1))
-    return large.cropped(left, top, width, height)
-
-
 def capture(
     scene: Scene,
     folder: Path,
@@ -163,19 +110,16 @@ def capture(
     """Captures a frame set of a scene to train on, into a folder; resumes if it was interrupted.
 
     Views lie in free space around the scene's own camera, which is the first of them. The held-out ones are
-    spaced evenly over the others, and unbiased. Two of three also have estimates, traced with fewer samples,
-    two independent halves of their own samples, and close-ups at two and four times the resolution: what the
-    fusion is fitted to. Of a scene that moves, views have times of their own; a monocular capture is that of
-    one camera, which sways around the scene's own.
+    spaced evenly over the others, and unbiased. Of a scene that moves, views have times of their own; a
+    monocular capture is that of one camera, which sways around the scene's own.
 
-    The folder gets a `transforms.json` and one OpenEXR file per frame, estimate and close-up. Intact files
-    are not rendered again; a resumed capture ends with the same files as one that was not interrupted.
+    The folder gets a `transforms.json` and one OpenEXR file per frame. Intact files are not rendered again; a
+    resumed capture ends with the same files as one that was not interrupted.
 
     Args:
         scene, folder, settings: what is captured, where to, and how.
         progress: called after each frame with the number of samples done and their total.
-        cache: in which the paths of training frames, estimates and close-ups end; without it, these are
-            unbiased as well.
+        cache: in which the paths of training frames end; without it, these are unbiased as well.
 
     Raises:
         UserError: the folder holds another capture or cannot be written; the scene's own camera sees no
@@ -219,10 +163,10 @@ def render_share(
     """
     write_description(folder, document)
     unbiased, quick = Tracer(scene), Tracer(scene, cache=cache)
-    entries = document["frames"] + document["close_ups"]
+    entries = document["frames"]
     cameras = [camera_from_json({**document, **entry}) for entry in entries]
     samples = [
-        (entry["samples"] + sum(e["samples"] for e in entry["estimates"])) * camera.width * camera.height
+        entry["samples"] * camera.width * camera.height
         for entry, camera in zip(entries, cameras, strict=True)
     ]
     # Held-out frames cost most and come at regular intervals: by index, one share might get them all.
@@ -231,16 +175,13 @@ def render_share(
     done, total = 0, sum(samples[index] for index in share)
     for index in share:
         entry, camera = entries[index], cameras[index]
-        # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
-        seed = document["settings"]["seed"] * _CAPTURE_SEED_STEP + index
-        measures = entry["held_out"] and index < len(document["frames"])
-        scene.show(entry["time"])
-        files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-        lacking = {spp: file for spp, file in files.items() if not is_intact(read_estimate, file, camera)}
-        estimates = render_estimates(quick, camera, tuple(files), seed, lacking)
-        for file, estimate in zip(lacking.values(), estimates, strict=True):
-            write_frame(file, estimate)
-        _write_frame(unbiased if measures else quick, folder, entry, camera, seed)
+        file = folder / entry["file_path"]
+        if not is_intact(read_frame, file, camera):
+            # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
+            seed = document["settings"]["seed"] * _CAPTURE_SEED_STEP + index
+            scene.show(entry["time"])
+            tracer = unbiased if entry["held_out"] else quick
+            write_frame(file, render_frame(tracer, camera, entry["samples"], seed))
         done += samples[index]
         progress(done, total)
 
@@ -256,11 +197,7 @@ def join_shares(folder: Path, shares: Sequence[Path]) -> FrameSet:
         if (share / _DESCRIPTION).read_text(encoding="utf-8") != text:
             raise UserError(f"{share}: holds another capture than {shares[0]}")
     document = json.loads(text)
-    names = [
-        name
-        for entry in document["frames"] + document["close_ups"]
-        for name in (entry["file_path"], *(e["file_path"] for e in entry["estimates"]), *entry["halves"])
-    ]
+    names = [entry["file_path"] for entry in document["frames"]]
     places = {name: place for place in (*shares, folder) for name in names if (place / name).is_file()}
     if missing := [name for name in names if name not in places]:
         raise UserError(
@@ -274,20 +211,3 @@ def join_shares(folder: Path, shares: Sequence[Path]) -> FrameSet:
     # Last: a folder without it is no frame set.
     write_description(folder, document)
     return read_frame_set(folder)
-
-
-def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
-    file, halves = folder / entry["file_path"], [folder / name for name in entry["halves"]]
-    lacking = [half for half in halves if not is_intact(read_radiance, half, camera)]
-    has_frame = is_intact(read_frame, file, camera)
-    if has_frame and not lacking:
-        return
-    if halves:
-        frame, radiances = render_with_halves(tracer, camera, entry["samples"], seed)
-        for half, radiance in zip(halves, radiances, strict=True):
-            if half in lacking:
-                write_frame(half, radiance)
-    else:
-        frame = render_frame(tracer, camera, entry["samples"], seed)
-    if not has_frame:
-        write_frame(file, frame)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,6 @@ from compose.image.exr import read_channels, write_channels
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.traced_images import TracedImage, trace_frame
 from pathtrace.trace.tracer import Tracer
-
-# Between the seeds of the parts of one view: halves of its frame, then estimates.
-_PART_SEED_STEP = 1_000_033
-_HALVES = 2
 
 
 @dataclass(frozen=True)
@@ -49,11 +45,11 @@ _CHANNELS: dict[str, tuple[str, str, Any]] = {
 }
 
 
-def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> None:
-    """Writes a frame, an estimate as it was traced, or (H, W, 3) linear radiance alone, atomically.
+def write_frame(path: Path, content: CapturedFrame | Image) -> None:
+    """Writes a frame, or (H, W, 3) linear radiance alone, atomically.
 
     Channels: R, G, B, Z, unfolded.V (32-bit floats), albedo.{R,G,B}, normal.{X,Y,Z} (16-bit floats) and
-    shape.V (unsigned integers, shape index + 1); an estimate has no geometry. UserError on failure.
+    shape.V (unsigned integers, shape index + 1). UserError on failure.
     """
     channels = {}
     for part, values in ({"radiance": content} if isinstance(content, np.ndarray) else vars(content)).items():
@@ -67,11 +63,6 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
 def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame:
     """Reads a frame that `write_frame` wrote; UserError if it is damaged, or not `size` (width, height)."""
     return CapturedFrame(**_read(path, size, [field.name for field in fields(CapturedFrame)]))
-
-
-def read_estimate(path: Path, size: tuple[int, int] | None = None) -> TracedImage:
-    """Reads an estimate that `write_frame` wrote; args and raises as in `read_frame`."""
-    return TracedImage(**_read(path, size, [field.name for field in fields(TracedImage)]))
 
 
 def read_radiance(path: Path, size: tuple[int, int] | None = None) -> Image:
@@ -112,30 +103,6 @@ def _read(path: Path, size: tuple[int, int] | None, parts: list[str]) -> dict[st
 def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> CapturedFrame:
     """A denoised frame with `spp` samples per pixel and its geometry; same seed, same frame."""
     return framed(trace_frame(tracer, camera, spp, seed), *geometry_of(tracer, camera))
-
-
-def render_with_halves(
-    tracer: Tracer, camera: Camera, spp: int, seed: int
-) -> tuple[CapturedFrame, tuple[Image, Image]]:
-    """As `render_frame`, of at least 2 samples, and the radiance (H, W, 3) of two independent halves of them.
-
-    They tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018).
-    """
-    one = trace_frame(tracer, camera, spp - spp // 2, seed)
-    other = trace_frame(tracer, camera, spp // 2, seed + _PART_SEED_STEP)
-    frame = framed(other.mixed(one, spp // 2 / spp), *geometry_of(tracer, camera))
-    return frame, (one.radiance, other.radiance)
-
-
-def render_estimates(
-    tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int, wanted: Container[int] | None = None
-) -> list[TracedImage]:
-    """Noisy estimates of a view, independent of its frame, of those counts of samples that are wanted."""
-    return [
-        trace_frame(tracer, camera, count, seed + number * _PART_SEED_STEP)
-        for number, count in enumerate(counts, start=_HALVES)
-        if wanted is None or count in wanted
-    ]
 
 
 def geometry_of(tracer: Tracer, camera: Camera) -> tuple[Image, Image, NDArray[np.int32]]:

@@ -35,14 +35,11 @@ class FrameEntry:
     file: Path  # its EXR file, a captured frame
     samples: int  # samples per pixel
     held_out: bool  # whether training must not see it
-    estimates: dict[int, Path]  # files of noisy estimates of the view by their samples per pixel
-    # Files of the radiance of two independent halves of the samples, if there are estimates.
-    halves: tuple[Path, ...] = ()
     time: float = 0.0  # that it shows, from 0 to 1
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels of the view, and of each of its files."""
+        """Width and height in pixels of the view, and of its file."""
         return self.camera.width, self.camera.height
 
 
@@ -55,8 +52,7 @@ class FrameSet:
         digest: SHA-256 of its transforms.json.
         scene_name, scene_hash: the scene that the frames show.
         entries: the frames, training and held-out ones.
-        close_ups: parts of held-out views at a multiple of their resolution.
-        integrator: name of the one that training frames and estimates were traced with.
+        integrator: name of the one that training frames were traced with.
         courses: of the shapes that move rigidly.
         plan: what was planned for the scene, by name.
     """
@@ -66,7 +62,6 @@ class FrameSet:
     scene_name: str
     scene_hash: str
     entries: list[FrameEntry]
-    close_ups: list[FrameEntry]
     integrator: str
     courses: tuple[Course, ...] = ()
     plan: Mapping[str, Any] = field(default_factory=dict)
@@ -99,10 +94,7 @@ def read_frame_set(folder: Path) -> FrameSet:
                 f"{path}: format version {document['format_version']}, this program reads {FORMAT_VERSION}; "
                 "capture the frames again"
             )
-        entries, close_ups = (
-            [_entry(folder, {**document, **frame}) for frame in document[name]]
-            for name in ("frames", "close_ups")
-        )
+        entries = [_entry(folder, {**document, **frame}) for frame in document["frames"]]
         described = document["scene"]
         scene = claimed_scene(described["name"], described["hash"])
         integrator, plan = str(document["integrator"]), dict(described.get("plan", {}))
@@ -110,8 +102,8 @@ def read_frame_set(folder: Path) -> FrameSet:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not the description of a frame set ({one_line(repr(error))})") from error
     digest = hashlib.sha256(text.encode()).hexdigest()
-    found = FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses, plan)
-    files = [file for one in entries + close_ups for file in (one.file, *one.estimates.values(), *one.halves)]
+    found = FrameSet(folder, digest, *scene, entries, integrator, courses, plan)
+    files = [entry.file for entry in entries]
     if missing := [file.name for file in files if not file.is_file()]:
         raise UserError(
             f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
@@ -127,8 +119,6 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
         file_inside(folder, frame["file_path"]),
         _samples(frame),
         bool(frame["held_out"]),
-        {_samples(e): file_inside(folder, e["file_path"]) for e in frame["estimates"]},
-        tuple(file_inside(folder, half) for half in frame["halves"]),
         time_of(frame),
     )
 
@@ -155,11 +145,10 @@ class CaptureSettings:
 
     Attributes:
         views: number of training views.
-        held_out: number of further views, may be 0; splats are fitted to none, the fusion to two of three.
+        held_out: number of further views, may be 0; nothing is fitted to them.
         width, height: frame size in pixels.
         spp: samples per pixel of a training view, which is denoised afterwards.
-        held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
-        close_ups: multiples of the resolution at which parts of held-out views are rendered, too.
+        held_out_spp: samples per pixel of a held-out view, which is denoised as well.
         seed: same seed, same frames; from 0 to compose.base.errors.MOST_SEED.
         monocular: whether views are those of one camera that sways around the scene's own, one instant after
             the other; otherwise they are free, and each shows a time of its own.
@@ -171,7 +160,6 @@ class CaptureSettings:
     height: int = 256
     spp: int = 32
     held_out_spp: int = 256
-    close_ups: tuple[int, ...] = (2, 4)
     seed: int = 0
     monocular: bool = False
 
@@ -180,8 +168,6 @@ class CaptureSettings:
         for name in ("views", "width", "height", "spp", "held_out_spp"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name.replace('_', '-')} is {getattr(self, name)}; must be positive")
-        if self.held_out_spp < 2:
-            raise ValueError("held-out-spp is 1; must be 2 or more, for two independent halves")
         if self.held_out < 0:
             raise ValueError(f"held-out is {self.held_out}; must not be negative")
         require_seed(self.seed)

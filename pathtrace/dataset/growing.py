@@ -110,7 +110,7 @@ class GrowingFrames:
                 before = self._entries[index] if had[index] else None
                 entries[index : index + 1] = [self._grown(index, view, before)]
                 progress(sum(costs[: index + 1]), sum(costs))
-        text = json.dumps({**self._facts, "frames": entries, "close_ups": []}, indent=1)
+        text = json.dumps({**self._facts, "frames": entries}, indent=1)
         write_whole(self._path, lambda part: part.write_text(text, encoding="utf-8"))
         # Files of earlier passes go.
         outdated = set(_files(self._entries)) - set(_files(entries))
@@ -132,7 +132,6 @@ class GrowingFrames:
             "samples": had + added,
             "passes": number,
             "held_out": False,
-            "estimates": [],
             "halves": [f"{name}-half{half}.exr" for half in (1, 2)],
         }
         files = [self.folder / half for half in entry["halves"]]

@@ -83,16 +83,14 @@ def _frame(path: Path) -> None:
 def _frame_set(path: Path) -> None:
     """The description, with its frames beside it."""
     (path.parent / "frames").mkdir(exist_ok=True)
-    entry = {**camera_to_json(camera()), "samples": 4, "held_out": False, "estimates": [], "halves": []}
+    entry = {**camera_to_json(camera()), "samples": 4, "held_out": False}
     entry["file_path"] = "frames/0000.exr"
     _frame(path.parent / "frames" / "0000.exr")
-    estimates = [{"samples": 1, "file_path": "frames/0000.exr"}]
     document = {
         "format_version": FORMAT_VERSION,
         "scene": {"name": "attic", "hash": "ab" * 32, "max_depth": 8},
         "integrator": "path",
-        "frames": [entry, {**entry, "held_out": True, "estimates": estimates, "halves": ["frames/0000.exr"]}],
-        "close_ups": [],
+        "frames": [entry, {**entry, "held_out": True}],
     }
     path.write_text(json.dumps(document))
 

@@ -24,7 +24,7 @@ def training_settings() -> TrainingSettings:
 
 @pytest.fixture(scope="session")
 def frames(backend, tmp_path_factory) -> FrameSet:
-    """Three training views and a held-out one, too small to fit a fusion to."""
+    """Three training views and a held-out one."""
     settings = CaptureSettings(views=3, held_out=1, width=24, height=24, spp=2, held_out_spp=4)
     return capture(load_scene(small.corner()), tmp_path_factory.mktemp("frames"), settings, ignore)
 

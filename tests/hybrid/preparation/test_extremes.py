@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from compose.fusion.fitting import Example
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation import fusion_training as fusion
 from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.forest_training import LeftOut, say_left_out, train
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.captured_frames import read_estimate, read_frame, write_frame
+from pathtrace.dataset.captured_frames import read_frame, write_frame
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
@@ -23,7 +21,6 @@ from splat.lod.forest_renderer import ForestRenderer
 from splat.training.trainer import TrainingSettings
 from tests import small
 from tests.extremes import extreme
-from tests.hybrid.forests import rough_forest
 from tests.hybrid.preparation.conftest import ignore
 from tests.placed import placed
 
@@ -111,35 +108,3 @@ def test_a_tiny_scene_far_away_ends_as_an_ordinary_one(tmp_path, backend, got):
         image = ForestRenderer(device_arrays(), forest).render_layer(frames.training[0].camera, 2).numpy()
         assert image.mean() > 0.05
     assert got(found[1] - found[0], "+.2f") == pytest.approx(0, abs=0.3)
-
-
-@extreme(
-    "fitting the fusion to spoilt frames",
-    given="NaN in 1 of 2 held-out views, and in one estimate of the other",
-    expected="finite examples only, of the other view",
-)
-def test_the_fusion_is_never_fitted_to_what_is_not_finite(tmp_path, backend, monkeypatch, got):
-    settings = CaptureSettings(views=1, held_out=2, width=64, height=64, spp=1, held_out_spp=14)
-    frames = capture(load_scene(small.corner()), tmp_path / "frames", settings, ignore)
-    first, second = frames.held_out
-    write_frame(
-        first.file, replace(read_frame(first.file), radiance=np.full((64, 64, 3), np.nan, np.float32))
-    )
-    least = min(second.estimates)
-    broken = read_estimate(second.estimates[least])
-    write_frame(second.estimates[least], replace(broken, albedo=np.full_like(broken.albedo, np.inf)))
-    kept: list[Example] = []
-
-    def noting(examples, *arguments) -> None:
-        kept.extend(examples)
-        raise InterruptedError
-
-    monkeypatch.setattr(fusion, "prove", noting)
-    whole = replace(frames, close_ups=[])
-    with pytest.raises(InterruptedError):
-        fusion.with_fusion(whole, rough_forest(load_scene(small.corner())), 0, ignore)
-    assert {example.view for example in kept} == {1}
-    assert got(len(kept)) > 0
-    for example in kept:
-        assert np.isfinite(example.parents.traced).all()
-        assert np.isfinite(example.parents.albedo).all()

@@ -63,7 +63,7 @@ def test_a_forest_belongs_to_the_scene_of_its_frames(frames, trained, training_s
 
 
 def test_numbers_are_rounded_unless_exact_ones_are_asked_for(frames, trained, training_settings, tmp_path):
-    """What is returned is what the file holds, and what the fusion was fitted to."""
+    """What is returned is what the file holds."""
     assert exactly_encoded(trained) is not None
     exact = train(frames, tmp_path / "f", training_settings, precision=Precision.FLOAT32)
     assert exactly_encoded(exact) is None

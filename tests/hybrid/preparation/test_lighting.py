@@ -71,7 +71,7 @@ def scene(backend, tmp_path_factory) -> Scene:
 
 
 def captured(scene: Scene, folder: Path) -> FrameSet:
-    settings = CaptureSettings(views=12, held_out=0, width=48, height=48, spp=8, close_ups=())
+    settings = CaptureSettings(views=12, held_out=0, width=48, height=48, spp=8)
     return capture(scene, folder, settings, lambda done, total: None)
 
 

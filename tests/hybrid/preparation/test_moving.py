@@ -10,7 +10,6 @@ import torch
 
 from compose.base.errors import UserError
 from hybrid.base.compute_device import device_arrays
-from hybrid.preparation import fusion_training as fusion
 from hybrid.preparation.forest_errors import held_out_quality
 from hybrid.preparation.forest_training import motion_of, train
 from hybrid.preparation.training_views import training_view
@@ -18,9 +17,8 @@ from hybrid.render import frame_renderer as renderer_module
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.irradiance import filled_cache
-from pathtrace.dataset.capture import capture
 from pathtrace.dataset.captured_frames import read_frame
-from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
+from pathtrace.dataset.frame_set import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
@@ -174,20 +172,6 @@ def test_hits_follow_the_time(scene):
         found.append(tracer.hits(camera, frame_positions(camera)).distance)
     np.testing.assert_array_equal(found[0], found[2])
     assert np.mean(found[0] != found[1]) > 0.02
-
-
-def test_examples_of_the_fusion_show_splats_at_their_times(scene, forest, tmp_path):
-    settings = CaptureSettings(views=1, held_out=2, width=64, height=64, spp=1, held_out_spp=4, close_ups=())
-    captured = capture(scene, tmp_path, settings, ignore)
-    renderer = ForestRenderer(device_arrays(), forest)
-    times = set()
-    for example in fusion._examples(captured, forest, small.rng()):
-        entry = captured.held_out[example.view]
-        times.add(entry.time)
-        renderer.set_time(entry.time)
-        splat = renderer.render_layer(entry.camera, len(forest.counts)).numpy()
-        np.testing.assert_array_equal(example.parents.splat, splat)
-    assert len(times) == 2
 
 
 def test_splats_alone_need_no_cache(scene, forest, monkeypatch):

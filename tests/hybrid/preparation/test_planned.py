@@ -13,7 +13,7 @@ from splat.training.trainer import TrainingSettings
 
 def frames(**plan: object) -> FrameSet:
     names = {name.replace("_", " "): value for name, value in plan.items()}
-    return FrameSet(Path("f"), "0", "any", "hash", [], [], "path", (), names)
+    return FrameSet(Path("f"), "0", "any", "hash", [], "path", (), names)
 
 
 def test_what_is_given_counts_then_what_is_planned_then_the_default():

@@ -17,7 +17,7 @@ from hybrid.preparation.decisions import FIXED_GAUSSIANS, GAUSSIANS, REGION, SAM
 from hybrid.preparation.preparation import Staged, prepare
 from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings
-from hybrid.render.forest_attachments import fusion_of, plan_of_forest, seconds_of
+from hybrid.render.forest_attachments import plan_of_forest, seconds_of
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
@@ -66,7 +66,7 @@ def test_from_nothing_to_a_forest(whole):
     assert facts["limit"] in (SAMPLES, VIEWS, GAUSSIANS)
     assert len(read_frame_set(folder / "frames").training) == 6
     assert newest is not None
-    assert len(read_frame_set(folder / "fusion").held_out) == 3
+    assert {"frames", "held-out"} == {path.name for path in folder.iterdir() if path.is_dir()}
     assert prepared.forest.digest() == load_forest(folder / "forest.safetensors").digest()
     assert facts["curve"][-1]["seconds"] < seconds_of(prepared.forest) <= facts["seconds"]
 
@@ -106,11 +106,11 @@ def test_further_stages_have_frames_of_a_higher_resolution(scene, tmp_path):
 
 @extreme(
     "a preparation interrupted in every part",
-    given="Ctrl-C while frames are traced, while a forest is trained, and while the fusion is fitted",
+    given="Ctrl-C while frames are traced, while a forest is trained, and while it learns its errors",
     expected="the files of a preparation that was not interrupted",
 )
 def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, whole, got):
-    grow, train, fit = module.GrowingFrames.grow, module.train, module.with_fusion
+    grow, train, learn = module.GrowingFrames.grow, module.train, module.with_errors
     interruptions = 0
 
     def once(name, owner, function):
@@ -125,7 +125,7 @@ def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, whole,
     for name, owner, function in (
         ("grow", module.GrowingFrames, grow),
         ("train", module, train),
-        ("with_fusion", module, fit),
+        ("with_errors", module, learn),
     ):
         once(name, owner, function)
         with pytest.raises(KeyboardInterrupt):
@@ -206,11 +206,10 @@ def test_a_scene_that_moves_is_prepared_for_all_times(monkeypatch, tmp_path):
 
 
 def test_a_glimpse_is_nobodys_newest_forest(scene):
-    """It is kept in its folder, without a fusion."""
+    """It is kept in its folder."""
     prepared = prepare(scene, PreparationSettings(quality="glimpse", held_out=0))
     assert newest_forest(scene) is None
     assert load_forest(prepared.facts["forest"]).digest() == prepared.forest.digest()
-    assert fusion_of(prepared.forest) is None
     assert len(prepared.facts["curve"]) == 1
 
 

@@ -89,6 +89,8 @@ def test_without_any_forest_one_is_planned_and_prepared(scene, forest, made, cap
 
 
 def test_quick_settings_have_the_seed_that_was_asked_for(scene, forest, made, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "read_frame_set", lambda folder: folder)
-    assert make_quick_forest(scene, tmp_path, 7) == (forest, tmp_path / "prepared-7" / "fusion")
+    given = []
+    monkeypatch.setattr(module, "capture", lambda *captured: given.append(captured[:3]))
+    assert make_quick_forest(scene, tmp_path, 7) == (forest, None)
+    assert given == [(scene, tmp_path / "prepared-7" / "judged", replace(module.JUDGED, seed=7))]
     assert made == [(PreparationSettings(quality="draft", held_out=0, seed=7), tmp_path / "prepared-7")]

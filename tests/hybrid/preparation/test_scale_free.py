@@ -17,7 +17,6 @@ from splat.training.trainer import TrainingSettings
 from tests.extremes import extreme
 from tests.hybrid.preparation.conftest import ignore
 
-# Too small to fit a fusion to, which takes longer than all the rest.
 _CAPTURE = CaptureSettings(views=16, held_out=3, width=60, height=60, spp=8, held_out_spp=64)
 _TRAINING = TrainingSettings(iterations=400, gaussians=3000, layers=2, degree=1)
 

@@ -10,6 +10,7 @@ import pytest
 from hybrid.base.identity import Journal
 from hybrid.preparation.stage_planner import (
     AS_EXPECTED,
+    BUILT,
     PROBED,
     JobClock,
     Planner,
@@ -195,3 +196,30 @@ def test_steps_are_not_saved_for_a_stage_that_only_goes_on(tmp_path):
     assert goes_on.views == 0
     assert planner.paced is not None
     assert 400 <= planner.paced(0.04) <= 430
+
+
+@pytest.mark.parametrize("pace", [Seconds(1.0, 1.0), Seconds(3.0, 1.2), Seconds(0.2, 0.5)])
+@pytest.mark.parametrize("minutes", [1.0, 2.0, 3.0, 5.0, 12.0, 30.0, 120.0])
+def test_stages_use_the_time_and_no_more(tmp_path, monkeypatch, minutes, pace):
+    """On a machine, in a scene, where frames and steps take other multiples of what is expected."""
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    journal = Journal(tmp_path / "job", {"name": "a job"})
+    planner = Planner(PreparationSettings(minutes=minutes), journal, JobClock(journal, 0.0), Needs())
+    while planner.begin([]):
+        began, step = now[0], lambda: step_seconds(planner.stages[-1]) * pace.training
+        if planner.is_to_fit:
+            seconds = expected_seconds(replace(planner.stages[0], views=PROBED), []).frames * pace.frames
+            now[0] += (1 + 1 / PROBED) * seconds
+            planner.fit_first(seconds)
+        expected = expected_seconds(planner.stages[-1], planner.stages[:-1])
+        now[0] = began + expected.frames * pace.frames
+        planner.lap("frame")
+        planner.lap("light")
+        assert planner.paced is not None
+        # Trees are built after the steps, and all else before them.
+        built = BUILT * planner.stages[-1].gaussians * pace.training if planner.number else 0.0
+        now[0] += expected.training * pace.training - planner.stages[-1].steps * step() - built
+        now[0] += planner.paced(step()) * step() + built
+        planner.lap("training")
+    assert 0.9 < now[0] / (60 * minutes) <= 1.0

@@ -14,7 +14,7 @@ STAGES = (
     Stage(views=2, scale=1, spp=8, gaussians=500, steps=30),
     Stage(views=2, scale=2, spp=16, gaussians=700, steps=30),
 )
-FUSION = CaptureSettings(views=1, held_out=3, width=32, height=32, spp=1, held_out_spp=4)
+JUDGED = CaptureSettings(views=1, held_out=3, width=32, height=32, spp=1, held_out_spp=4)
 
 
 def make_tiny(patch) -> None:
@@ -31,7 +31,7 @@ def make_tiny(patch) -> None:
         "live": STAGES,
     }
     patch(stages, "QUALITIES", qualities)
-    patch(preparation, "FUSION_CAPTURE", FUSION)
+    patch(preparation, "JUDGED", JUDGED)
     # Where viewers may be is small, too.
     patch(selection, "_VIEWERS", 160)
     patch(selection, "_CANDIDATES", 128)

@@ -12,7 +12,7 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.dataset.capture import capture, chosen_capture, join_shares, render_share
-from pathtrace.dataset.captured_frames import read_estimate, read_frame, read_radiance
+from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
@@ -24,8 +24,8 @@ from tests.extremes import extreme
 from tests.moving import moving_corner
 
 SETTINGS = CaptureSettings(views=4, held_out=2, width=24, height=16, spp=2, held_out_spp=4)
-# Four views of 2 samples; two of 4 and an estimate of 1; four close-ups of these on a quarter of their size.
-SAMPLES = 24 * 16 * (4 * 2 + 2 * 5) + 12 * 8 * 4 * 5
+# Four views of 2 samples and two of 4.
+SAMPLES = 24 * 16 * (4 * 2 + 2 * 4)
 
 
 @pytest.fixture(scope="module")
@@ -61,53 +61,35 @@ def test_a_capture_is_a_complete_frame_set(scene, whole):
     assert (frames.scene_name, frames.scene_hash) == (scene.name, scene.hash)
     assert [entry.samples for entry in frames.training] == [2] * 4
     assert [entry.samples for entry in frames.held_out] == [4] * 2
-    assert len(frames.close_ups) == 4
-    # 6 frames, 4 close-ups; an estimate and two halves of each held-out view and close-up; the description.
-    assert len(contents(frames.folder)) == 6 + 4 + 3 * (2 + 4) + 1
-    for entry in frames.entries + frames.close_ups:
+    # The frames and the description.
+    assert len(contents(frames.folder)) == 6 + 1
+    for entry in frames.entries:
         frame = read_frame(entry.file)
         assert frame.radiance.shape == (entry.camera.height, entry.camera.width, 3)
         assert np.isfinite(frame.radiance).all()
-        for file in entry.estimates.values():
-            assert read_estimate(file).radiance.shape == frame.radiance.shape
-        for file in entry.halves:
-            assert read_radiance(file).shape == frame.radiance.shape
     assert frames.integrator == "path"
     assert frames == read_frame_set(frames.folder)
 
 
 def test_progress_counts_samples(whole):
-    """After each of the ten frames, up to all of them."""
+    """After each of the six frames, up to all of them."""
     _, reported = whole
     done, totals = zip(*reported, strict=True)
     assert set(totals) == {SAMPLES}
-    assert len(done) == 10
+    assert len(done) == 6
     assert done[0] == 24 * 16 * 2
     assert done[-1] == SAMPLES
     assert all(later > earlier for earlier, later in pairwise(done))
 
 
-def test_every_frame_has_noise_of_its_own(whole):
-    """Estimates of two views that show nearly the same would else have nearly the same noise."""
-    frames, _ = whole
-    one, two = (read_estimate(entry.estimates[1]).radiance.mean(axis=2).ravel() for entry in frames.held_out)
-    truth = [read_frame(entry.file).radiance.mean(axis=2).ravel() for entry in frames.held_out]
-    assert abs(np.corrcoef(one - truth[0], two - truth[1])[0, 1]) < 0.3
-
-
 def test_paths_of_all_but_held_out_frames_end_in_a_cache_if_there_is_one(scene, whole, tmp_path):
-    """Held-out frames and their halves are unbiased with and without."""
+    """Held-out frames are unbiased with and without."""
     cache = fill_cache(scene, [scene.camera], points=4096)
     frames = capture(scene, tmp_path, SETTINGS, lambda done, total: None, cache)
     assert frames.integrator == "cached"
-    pairs = zip(whole[0].entries + whole[0].close_ups, frames.entries + frames.close_ups, strict=True)
-    for one, other in pairs:
-        unbiased = any(one is entry for entry in whole[0].held_out)
-        assert unbiased == np.array_equal(read_frame(one.file).radiance, read_frame(other.file).radiance)
-        for a, b in zip(one.halves, other.halves, strict=True):
-            assert unbiased == np.array_equal(read_radiance(a), read_radiance(b))
-        for a, b in zip(one.estimates.values(), other.estimates.values(), strict=True):
-            assert not np.array_equal(read_estimate(a).radiance, read_estimate(b).radiance)
+    for one, other in zip(whole[0].entries, frames.entries, strict=True):
+        same = np.array_equal(read_frame(one.file).radiance, read_frame(other.file).radiance)
+        assert same == one.held_out
 
 
 def test_an_interrupted_capture_ends_with_the_same_files(scene, whole, tmp_path):
@@ -121,24 +103,6 @@ def test_an_interrupted_capture_ends_with_the_same_files(scene, whole, tmp_path)
     # What was there has not been rendered again.
     assert before
     assert {path: path.stat().st_mtime_ns for path in before} == before
-
-
-def test_a_frame_without_its_estimates_is_rendered_again(scene, whole, tmp_path):
-    """Estimates are written before their frame: a frame that exists is complete."""
-    written = []
-
-    def stop(path: Path, frame) -> None:
-        written.append(path)
-        if path.name.endswith("spp.exr"):
-            raise InterruptError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pathtrace.dataset.capture.write_frame", stop)
-        with pytest.raises(InterruptError):
-            capture(scene, tmp_path, SETTINGS, lambda done, total: None)
-    estimate = written.pop()
-    assert estimate.name.endswith("-1spp.exr")
-    assert estimate.name.replace("-1spp", "") not in {path.name for path in written}
 
 
 def test_another_seed_gives_other_frames(scene, whole, tmp_path):
@@ -174,15 +138,13 @@ def damages(content: bytes) -> dict[str, bytes | None]:
 
 @extreme(
     "damaged captures",
-    given="frame, half, estimate or close-up missing, cut off, zeroed, with a flipped bit, or another one's",
+    given="frames missing, cut off, zeroed, with a flipped bit, or another one's",
     expected="exactly the damaged files rendered again, the same bytes as before",
 )
 def test_a_capture_repairs_exactly_what_is_damaged(scene, whole, tmp_path, got):
     shutil.copytree(whole[0].folder, tmp_path / "c")
     folder, expected = tmp_path / "c", contents(whole[0].folder)
-    held_out = whole[0].held_out[0].file.stem
-    names = ["0000", held_out, f"{held_out}-half2", f"{held_out}-1spp", f"{held_out}-closer2-half1"]
-    files = [folder / "frames" / f"{name}.exr" for name in names]
+    files = [folder / "frames" / f"{name}.exr" for name in ("0000", whole[0].held_out[0].file.stem)]
     repaired = 0
     for kind in damages(b"x" * 40):
         for file in files:
@@ -193,9 +155,11 @@ def test_a_capture_repairs_exactly_what_is_damaged(scene, whole, tmp_path, got):
         assert contents(folder) == expected, kind
         assert {path: path.stat().st_mtime_ns for path in before} == before
         repaired += len(files)
-    # A close-up in the place of a frame has another size; an estimate in that place has other channels.
-    for other in (f"{held_out}-closer2.exr", f"{held_out}-1spp.exr"):
-        shutil.copy(folder / "frames" / other, files[0])
+    # Of another size, and with other channels.
+    frame = read_frame(files[0])
+    smaller = CapturedFrame(**{name: image[:8] for name, image in vars(frame).items()})
+    for other in (smaller, frame.radiance):
+        write_frame(files[0], other)
         capture(scene, folder, SETTINGS, lambda done, total: None)
         assert contents(folder) == expected
         repaired += 1
@@ -216,23 +180,19 @@ def test_views_of_a_scene_that_moves_show_their_own_times(tmp_path):
     scene = moving_corner(tmp_path)
     frames = capture(scene, tmp_path / "frames", SETTINGS, lambda done, total: None)
     assert [course.name for course in frames.courses] == ["board"]
-    entries = frames.entries + frames.close_ups
     assert len({entry.time for entry in frames.entries}) == 6
     tracer, shown = Tracer(scene), 0
-    for entry in entries:
+    for entry in frames.entries:
         scene.set_time(entry.time)
         shape = tracer.hits(entry.camera, frame_positions(entry.camera)).shape
         np.testing.assert_array_equal(read_frame(entry.file).shape.ravel(), shape)
         shown += bool((shape == frames.courses[0].shape).any())
     assert shown > 3
-    # A part of a view shows what the view shows.
-    times = {entry.camera.camera_to_world.tobytes(): entry.time for entry in frames.held_out}
-    assert all(times[entry.camera.camera_to_world.tobytes()] == entry.time for entry in frames.close_ups)
 
 
 def test_costly_frames_are_dealt_out_evenly(scene, tmp_path):
     """Held-out views come at regular intervals: every second one would be in one of two shares."""
-    settings = CaptureSettings(views=5, held_out=4, width=24, height=16, spp=2, held_out_spp=64, close_ups=())
+    settings = CaptureSettings(views=5, held_out=4, width=24, height=16, spp=2, held_out_spp=64)
     document, totals = chosen_capture(scene, settings, Integrator.PATH), []
 
     def note(done: int, total: int) -> None:

@@ -240,10 +240,10 @@ def frame_set(folder: Path, times: tuple[float, ...] = (0, 0, 0)) -> FrameSet:
         content = CapturedFrame(radiance, radiance, radiance, plane, plane, np.ones(depth.shape, np.int32))
         write_frame(folder / f"frames/{number}.exr", content)
         entry = {**camera_to_json(camera), "file_path": f"frames/{number}.exr", "samples": 1, "time": time}
-        entries.append({**entry, "held_out": number == 2, "estimates": [], "halves": []})
+        entries.append({**entry, "held_out": number == 2})
     scene = {"name": "sphere", "hash": "ab"}
     document = {"format_version": FORMAT_VERSION, "scene": scene, "integrator": "path"}
-    (folder / "transforms.json").write_text(json.dumps({**document, "frames": entries, "close_ups": []}))
+    (folder / "transforms.json").write_text(json.dumps({**document, "frames": entries}))
     return read_frame_set(folder)
 
 

@@ -1,4 +1,4 @@
-"""EXR files of frames and estimates: channels that other programs know, and values that read back equal."""
+"""EXR files of frames: channels that other programs know, and values that read back equal."""
 
 from __future__ import annotations
 
@@ -7,13 +7,7 @@ import OpenEXR
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.dataset.captured_frames import (
-    CapturedFrame,
-    read_estimate,
-    read_frame,
-    write_frame,
-)
-from pathtrace.trace.traced_images import TracedImage
+from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, read_radiance, write_frame
 from tests import small
 
 
@@ -62,18 +56,15 @@ def test_channels_of_a_frame(tmp_path, frame):
     np.testing.assert_array_equal(found["shape.V"].astype(int) - 1, frame.shape)
 
 
-def test_an_estimate_has_no_geometry(tmp_path, frame):
-    estimate = TracedImage(frame.radiance, frame.albedo, frame.normal)
-    write_frame(tmp_path / "e.exr", estimate)
-    assert len(channels(tmp_path / "e.exr")) == 9
-    back = read_estimate(tmp_path / "e.exr")
-    for name in ("radiance", "albedo", "normal"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(estimate, name))
-    with pytest.raises(UserError, match=r"e\.exr: not a readable frame .*; capture it again"):
-        read_frame(tmp_path / "e.exr")
+def test_radiance_alone_has_no_geometry(tmp_path, frame):
+    write_frame(tmp_path / "r.exr", frame.radiance)
+    assert len(channels(tmp_path / "r.exr")) == 3
+    np.testing.assert_array_equal(read_radiance(tmp_path / "r.exr"), frame.radiance)
+    with pytest.raises(UserError, match=r"r\.exr: not a readable frame .*; capture it again"):
+        read_frame(tmp_path / "r.exr")
 
 
-@pytest.mark.parametrize("read", [read_frame, read_estimate])
+@pytest.mark.parametrize("read", [read_frame, read_radiance])
 def test_missing_and_damaged_files_are_named(tmp_path, frame, read):
     (tmp_path / "text.exr").write_bytes(b"not an image")
     write_frame(tmp_path / "cut.exr", frame)

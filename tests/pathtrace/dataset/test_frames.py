@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +16,12 @@ from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, read_fr
 IDENTITY = np.eye(4).tolist()
 
 
-def entry(name: str, held_out: bool = False, estimates: tuple[int, ...] = (), **intrinsics) -> dict:
+def entry(name: str, held_out: bool = False) -> dict:
     return {
         "file_path": f"frames/{name}.exr",
         "transform_matrix": IDENTITY,
         "samples": 8,
         "held_out": held_out,
-        "estimates": [{"samples": n, "file_path": f"frames/{name}-{n}.exr"} for n in estimates],
-        "halves": [f"frames/{name}-half{number}.exr" for number in (1, 2)] if estimates else [],
-        **intrinsics,
     }
 
 
@@ -40,19 +37,15 @@ def document() -> dict:
         "format_version": FORMAT_VERSION,
         "scene": {"name": "attic", "hash": "abc"},
         "integrator": "cached",
-        "frames": [entry("0"), entry("1", held_out=True, estimates=(1, 4)), entry("2")],
-        "close_ups": [entry("1-closer2", held_out=True, w=16, h=12, fl_x=60.0, fl_y=62.0)],
+        "frames": [entry("0"), entry("1", held_out=True), entry("2")],
     }
 
 
 def written(folder: Path, document: dict) -> Path:
     """The folder, with an empty file for each that the document names."""
     (folder / "frames").mkdir()
-    for frame in document.get("frames", []) + document.get("close_ups", []):
-        for file in (frame, *frame["estimates"]):
-            (folder / file["file_path"]).touch()
-        for half in frame["halves"]:
-            (folder / half).touch()
+    for frame in document["frames"]:
+        (folder / frame["file_path"]).touch()
     (folder / "transforms.json").write_text(json.dumps(document))
     return folder
 
@@ -63,22 +56,34 @@ def test_a_frame_set_is_what_its_document_says(tmp_path, document):
     assert frames.digest == hashlib.sha256((tmp_path / "transforms.json").read_bytes()).hexdigest()
     assert [e.file for e in frames.training] == [tmp_path / "frames/0.exr", tmp_path / "frames/2.exr"]
     (held_out,) = frames.held_out
-    assert held_out.estimates == {1: tmp_path / "frames/1-1.exr", 4: tmp_path / "frames/1-4.exr"}
-    assert held_out.halves == (tmp_path / "frames/1-half1.exr", tmp_path / "frames/1-half2.exr")
     assert (held_out.samples, held_out.held_out) == (8, True)
     assert frames.integrator == "cached"
     assert (held_out.camera.width, held_out.camera.fx) == (32, 30.0)
-    (close_up,) = frames.close_ups
-    assert (close_up.camera.width, close_up.camera.height, close_up.camera.fy) == (16, 12, 62.0)
-    # Without intrinsics of its own, an entry has the document's.
-    assert close_up.camera.cx == 16.0
 
 
-@pytest.mark.parametrize("name", ["0", "1-4", "1-half2", "1-closer2"])
+def test_frames_may_have_intrinsics_of_their_own(tmp_path, document):
+    """Without those, an entry has the document's."""
+    document["frames"][1] |= {"w": 16, "h": 12, "fl_x": 60.0, "fl_y": 62.0}
+    (own,) = read_frame_set(written(tmp_path, document)).held_out
+    assert (own.camera.width, own.camera.height, own.camera.fy, own.camera.cx) == (16, 12, 62.0, 16.0)
+
+
+def test_frame_sets_of_earlier_versions_are_read(tmp_path, document):
+    """Estimates, halves and parts of held-out views are left alone, whether or not their files are there."""
+    plain = read_frame_set(written(tmp_path, document))
+    for frame in document["frames"]:
+        frame |= {"estimates": [{"samples": 1, "file_path": "frames/1-1.exr"}], "halves": ["frames/1-h.exr"]}
+    document["close_ups"] = [{**document["frames"][1], "file_path": "frames/1-closer2.exr"}]
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    found = read_frame_set(tmp_path)
+    assert found == replace(plain, digest=found.digest)
+
+
+@pytest.mark.parametrize("name", ["0", "1"])
 def test_every_missing_file_is_noticed(tmp_path, document, name):
     written(tmp_path, document)
     (tmp_path / "frames" / f"{name}.exr").unlink()
-    with pytest.raises(UserError, match=rf"1 of 8 files are missing \({name}\.exr first\).*resume"):
+    with pytest.raises(UserError, match=rf"1 of 3 files are missing \({name}\.exr first\).*resume"):
         read_frame_set(tmp_path)
 
 
@@ -128,6 +133,6 @@ def test_no_view_need_be_held_out():
 
 
 def test_numbers_of_numpy_are_numbers():
-    settings = CaptureSettings(views=np.int64(3), width=np.uint16(32), close_ups=(np.int32(2), 4))
-    assert (settings.views, settings.width, settings.close_ups) == (3, 32, (2, 4))
+    settings = CaptureSettings(views=np.int64(3), width=np.uint16(32))
+    assert (settings.views, settings.width) == (3, 32)
     json.dumps(asdict(settings))

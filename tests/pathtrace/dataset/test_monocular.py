@@ -63,7 +63,7 @@ def test_it_goes_as_far_as_there_is_space(monkeypatch):
 
 def test_frames_show_all_times_in_order(tmp_path):
     scene = moving_corner(tmp_path)
-    settings = CaptureSettings(8, 2, 24, 24, spp=2, held_out_spp=2, close_ups=(), monocular=True)
+    settings = CaptureSettings(8, 2, 24, 24, spp=2, held_out_spp=2, monocular=True)
     frames = capture(scene, tmp_path / "frames", settings, lambda done, total: None)
     times = sorted([entry.time for entry in [*frames.training, *frames.held_out]])
     np.testing.assert_allclose(times, np.linspace(0, 1, 10))

@@ -10,7 +10,6 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.coordinate_systems import camera_from_json
 from pathtrace.dataset.capture import describe_capture, write_description
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.region.neighbourhood import ViewSet
@@ -54,61 +53,6 @@ def test_held_out_views_are_spaced_evenly_over_the_spread_ones():
     assert [frame["file_path"] for frame in frames[:2]] == ["frames/0000.exr", "frames/0001.exr"]
     assert not any(frame["held_out"] for frame in described(held_out=0)["frames"])
     assert [i for i, f in enumerate(described(held_out=8)["frames"]) if f["held_out"]] == list(range(2, 10))
-
-
-def test_two_of_three_held_out_views_have_estimates_and_close_ups():
-    document = described()
-    assert [i for i, frame in enumerate(document["frames"]) if frame["estimates"]] == [3, 5, 9]
-    assert [entry["file_path"] for entry in document["close_ups"]] == [
-        f"frames/000{index}-closer{factor}.exr" for index in (3, 5, 9) for factor in (2, 4)
-    ]
-    assert all(entry["held_out"] and entry["samples"] == 16 for entry in document["close_ups"])
-    assert [i for i, frame in enumerate(document["frames"]) if frame["halves"]] == [3, 5, 9]
-
-
-@pytest.mark.parametrize(
-    ("spp", "estimates"),
-    [
-        (2, [1]),
-        (5, [1]),
-        (6, [1, 2]),
-        (16, [1, 2, 4]),
-        (64, [1, 2, 4, 16]),
-        (256, [1, 2, 4, 16, 64]),
-    ],
-)
-def test_estimates_take_half_of_the_samples_at_most(spp, estimates):
-    document = described(held_out_spp=spp)
-    for entry in (document["frames"][3], document["close_ups"][0]):
-        assert [e["samples"] for e in entry["estimates"]] == estimates
-        stem = entry["file_path"].removesuffix(".exr")
-        assert [e["file_path"] for e in entry["estimates"]] == [f"{stem}-{n}spp.exr" for n in estimates]
-        assert entry["halves"] == [f"{stem}-half1.exr", f"{stem}-half2.exr"]
-
-
-def test_close_ups_are_parts_of_their_views():
-    """A point in the world is seen in the close-up where it is in the view, 2 or 4 times as large."""
-    document = described()
-    corners = set()
-    for entry in document["close_ups"]:
-        index, factor = int(entry["file_path"][7:11]), int(entry["file_path"][-5])
-        view = camera_from_json({**document, **document["frames"][index]})
-        part = camera_from_json({**document, **entry})
-        assert (part.width, part.height) == (16, 12)
-        points = view.position + view.rays(np.array([[3.0, 4.0], [20.0, 15.0]])) * 2
-        left, top = factor * view.project(points)[0][0] - part.project(points)[0][0]
-        np.testing.assert_allclose(part.project(points)[0], factor * view.project(points)[0] - [left, top])
-        assert left == pytest.approx(round(left), abs=1e-9)
-        assert 0 <= round(left) <= 32 * factor - 16
-        assert 0 <= round(top) <= 24 * factor - 12
-        corners.add((round(left), round(top)))
-    assert len(corners) > 3
-
-
-def test_the_seed_decides_where_close_ups_lie():
-    assert described()["close_ups"] == described()["close_ups"]
-    assert described()["close_ups"] != described(seed=6)["close_ups"]
-    assert described()["frames"] == described(seed=6)["frames"]
 
 
 def test_cameras_are_in_the_nerfstudio_convention():
