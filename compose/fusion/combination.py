@@ -11,13 +11,11 @@ estimate is a mixture of the splats, as they are and as the samples correct them
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.estimates import Denoise, dark_of, relit, shares, sharpened, texture_of
+from compose.fusion.estimates import dark_of, ratio_of, relit, shares, sharpened, texture_of
 from compose.fusion.parents import (
     Fused,
     Parents,
@@ -38,43 +36,51 @@ _TAILS = 20.0
 _RADIANCE = "traced", "denoised", "splat"
 
 
-def fuse(parents: Parents, denoise: Denoise) -> Fused:
-    """One estimate from all parents of a view; `denoise` is given what the splats are relit by."""
-    height, width = parents.traced.shape[:2]
-    with torch.inference_mode():
-        images, plain, excluded = _prepared(parents)
-        estimate, weights = _estimate(images, denoise)
-        kept = trust(estimate, images["traced"], images["variance"], images["count"], plain)
-        radiance = torch.lerp(images["traced"], estimate, kept)
-        weights = torch.cat([1 - kept, kept * weights], 1)
-    radiance, weights = (of[0, :, :height, :width].permute(1, 2, 0) for of in (radiance, weights))
-    return Fused(radiance, weights, excluded)
+class Fusion:
+    """The fusion of a view's parents, in two steps, since what its splats are relit by is denoised between.
 
-
-def without_samples(parents: Parents, denoise: Denoise) -> Tensor:
-    """(H, W, 3) the estimate of `fuse` before it is drawn towards the samples."""
-    height, width = parents.traced.shape[:2]
-    with torch.inference_mode():
-        images, _, _ = _prepared(parents)
-        estimate, _ = _estimate(images, denoise)
-    return estimate[0, :, :height, :width].permute(1, 2, 0)
-
-
-def _estimate(images: Mapping[str, Tensor], denoise: Denoise) -> tuple[Tensor, Tensor]:
-    """Radiance (1, 3, H, W) and the weights of denoised samples, relit splats and splats in it, in this order.
-
-    The images are those of `_prepared`.
+    Attributes:
+        ratio: (1, 3, h, w), of samples and splats at half the resolution, with the samples' noise.
     """
-    traced, splat, denoised = images["traced"], images["splat"], images.get("denoised")
-    dark = dark_of(traced, splat)
-    level = splat.mean(1, keepdim=True) + dark
-    sharp = sharpened(splat, texture_of(images["albedo"]), traced, level)
-    light = relit(sharp, traced, dark, denoise)
-    weights = shares(sharp, light, denoised, traced, images["count"], level)
-    radiance = weights[:, 0:1] * sharp + weights[:, 1:2] * light
-    if denoised is not None:
-        radiance = radiance + weights[:, 2:3] * denoised
-    return radiance, weights.flip(1)
+
+    def __init__(self, parents: Parents):
+        self._size = parents.traced.shape[:2]
+        with torch.inference_mode():
+            self._images, self._plain, self._excluded = _prepared(parents)
+            traced, splat = self._images["traced"], self._images["splat"]
+            self._dark = dark_of(traced, splat)
+            self._level = splat.mean(1, keepdim=True) + self._dark
+            self._sharp = sharpened(splat, texture_of(self._images["albedo"]), traced, self._level)
+            self.ratio = ratio_of(traced, self._sharp, self._dark)
+
+    @torch.inference_mode()
+    def fused(self, smooth: Tensor) -> Fused:
+        """One estimate from all parents, and their weights; `smooth` is the denoised ratio."""
+        images, (estimate, weights) = self._images, self._mixed(smooth)
+        kept = trust(estimate, images["traced"], images["variance"], images["count"], self._plain)
+        weights = torch.cat([1 - kept, kept * weights], 1)
+        radiance = torch.lerp(images["traced"], estimate, kept)
+        return Fused(self._whole(radiance), self._whole(weights), self._excluded)
+
+    @torch.inference_mode()
+    def estimate(self, smooth: Tensor) -> Tensor:
+        """(H, W, 3) the estimate before it is drawn towards the samples; `smooth` is the denoised ratio."""
+        return self._whole(self._mixed(smooth)[0])
+
+    def _mixed(self, smooth: Tensor) -> tuple[Tensor, Tensor]:
+        """Radiance (1, 3, H, W), and the weights in it of all PARENTS but the first."""
+        images, light = self._images, relit(self._sharp, smooth, self._dark)
+        denoised = images.get("denoised")
+        weights = shares(self._sharp, light, denoised, images["traced"], images["count"], self._level)
+        radiance = weights[:, 0:1] * self._sharp + weights[:, 1:2] * light
+        if denoised is not None:
+            radiance = radiance + weights[:, 2:3] * denoised
+        return radiance, weights.flip(1)
+
+    def _whole(self, image: Tensor) -> Tensor:
+        """(H, W, C) of an image whose sides are even."""
+        height, width = self._size
+        return image[0, :, :height, :width].permute(1, 2, 0)
 
 
 def _prepared(parents: Parents) -> tuple[dict[str, Tensor], bool, int]:

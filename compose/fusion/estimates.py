@@ -11,15 +11,11 @@ counts for 1 at most. Images are (N, 3, H, W), levels and counts (N, 1, H, W).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
 from compose.fusion.parents import box_mean, enlarged, halved
 
-# Removes Monte Carlo noise from an image (1, 3, H, W).
-Denoise = Callable[[Tensor], Tensor]
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
 ODDS = (
@@ -68,13 +64,17 @@ def sharpened(splat: Tensor, texture: Tensor, traced: Tensor, level: Tensor) -> 
     return splat * torch.exp(_LACKING * found.clamp(-1, 1) * texture)
 
 
-def relit(splat: Tensor, traced: Tensor, dark: Tensor, denoise: Denoise) -> Tensor:
-    """Splats times what the samples have of their light, denoised; both sides even, dark (N, 1, 1, 1)."""
-    # Where both are dark, the ratio would be noise.
+def ratio_of(traced: Tensor, splat: Tensor, dark: Tensor) -> Tensor:
+    """(N, 3, H / 2, W / 2) how much more light samples have than splats; sides even, dark (N, 1, 1, 1)."""
+    # Where both are dark, it would be noise.
     offset = _OFFSET * dark
-    ratio = (halved(traced) + offset) / (halved(splat) + offset)
-    ratio = enlarged(denoise(ratio.clamp(max=_MOST_RATIO)), splat)
-    return (ratio * (splat + offset) - offset).clamp(min=0)
+    return ((halved(traced) + offset) / (halved(splat) + offset)).clamp(max=_MOST_RATIO)
+
+
+def relit(splat: Tensor, ratio: Tensor, dark: Tensor) -> Tensor:
+    """Splats times a denoised `ratio`."""
+    offset = _OFFSET * dark
+    return (enlarged(ratio, splat) * (splat + offset) - offset).clamp(min=0)
 
 
 def shares(

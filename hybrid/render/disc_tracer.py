@@ -17,7 +17,7 @@ from compose.fovea.adaptive import allotted, disagreement, window_sum
 from compose.fovea.disc import Disc
 from compose.fovea.history import History
 from compose.fovea.samples import Samples, averaged_features, merged, put, taken
-from compose.fusion.combination import without_samples
+from compose.fusion.combination import Fusion
 from hybrid.base.compute_device import device_arrays
 from hybrid.render.disc_images import Underlay, channels_of, parents_of, smooth
 from pathtrace.trace.film import pixel_positions
@@ -277,8 +277,9 @@ def _second_counts(request: DiscRequest, known: Samples, have: Float, underlay: 
     # Where samples go needs no fine detail.
     parents = parents_of(disc, known, underlay, quick=True)
     everywhere = dr.arange(disc.arrays.plain.UInt, disc.shape[0] * disc.shape[1])
-    found = [without_samples(parents, smooth), parents.splat]
-    differs = disagreement(disc.arrays, *channels_of(disc, found, everywhere), disc.shape)
+    fusion = Fusion(parents)
+    estimate, splat = channels_of(disc, [fusion.estimate(smooth(fusion.ratio)), parents.splat], everywhere)
+    differs = disagreement(disc.arrays, estimate, splat, disc.shape)
     worth = dr.gather(type(differs), differs, disc.inside)
     left = (request.spp - _first_spp(request.spp)) * disc.count
     # The second samples must not repeat the random numbers of the first ones.

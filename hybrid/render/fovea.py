@@ -11,7 +11,7 @@ from compose.camera.camera import Camera
 from compose.fovea.disc import Disc, thinned
 from compose.fovea.foveation import FoveaMode
 from compose.fovea.samples import Samples
-from compose.fusion.combination import fuse
+from compose.fusion.combination import Fusion
 from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import torch_working_on
 from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of, smooth
@@ -113,8 +113,8 @@ class Fovea:
             raise ValueError("a fused fovea requires the splats under the disc")
         parents = parents_of(disc, samples, underlay, quick)
         with torch_working_on(disc.shape[0] * disc.shape[1]):
-            fused = fuse(parents, smooth)
-        made = [fused.radiance, fused.weights]
-        made += [] if parents.denoised is None else [parents.denoised]
-        radiance, weights, *denoised = channels_of(disc, made, disc.inside)
-        return FoveaImage(disc, radiance, samples, *(denoised or [None]), weights, fused.excluded)
+            fusion = Fusion(parents)
+            fused = fusion.fused(smooth(fusion.ratio))
+        shown = [fused.radiance, fused.weights, parents.denoised]
+        made = channels_of(disc, [image for image in shown if image is not None], disc.inside)
+        return FoveaImage(disc, made[0], samples, made[2] if len(made) > 2 else None, made[1], fused.excluded)

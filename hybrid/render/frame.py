@@ -97,9 +97,9 @@ class Frame:
             composite (also without a name); unless the disc is empty, fovea as it was blended, path-traced,
             the mean of the samples, variance, of that mean (inf where there is only one sample), weight of
             the fovea, denoised, unless raw, and, if fused, the share of each parent (fusion.traced,
-            fusion.denoised, fusion.splat); eccentricity in degrees on the display; level (1 to L); rate (log2
-            of pixels per sample along each axis); coverage, what the forest knows: 1 where nothing was
-            filled; and those that the settings ask for.
+            fusion.denoised, fusion.relit, fusion.splat); eccentricity in degrees on the display; level (1 to
+            L); rate (log2 of pixels per sample along each axis); coverage, what the forest knows: 1 where
+            nothing was filled; and those that the settings ask for.
         """
         detail, viewer = self.detail, self.settings.display.viewer(self.camera.width, self.camera.height)
         coverage = np.ones((self.camera.height, self.camera.width), dtype=np.float32)

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 import splat
 from compose.camera.camera import Camera
-from compose.fusion.combination import fuse
+from compose.fusion.combination import Fusion
 from compose.fusion.parents import Parents
+from hybrid.render.disc_images import smooth
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, render_frame, write_frame
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene, load_scene
@@ -87,8 +88,9 @@ def fused(
     variance = np.maximum(squares - radiance**2, 0) / (_SPP - 1)
     count = np.full((*shape[:2], 1), _SPP, dtype=np.float32)
     denoised = denoise(radiance, albedo, normal)
-    parents = Parents(radiance, variance, denoised, splats, albedo, normal, count, 1.0, False)
-    return denoised, fuse(parents, None).radiance.numpy()
+    parents = Parents(radiance, variance, splats, albedo, count, denoised)
+    fusion = Fusion(parents)
+    return denoised, fusion.fused(smooth(fusion.ratio)).radiance.numpy()
 
 
 def measured(name: str, size: int) -> list[dict[str, object]]:

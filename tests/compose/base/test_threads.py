@@ -54,7 +54,7 @@ def test_the_users_own_setting_wins(environment, expected):
 
 
 @pytest.mark.parametrize(
-    "module", ["hybrid.render.frame_renderer", "splat.raster.differentiable", "compose.fusion.network"]
+    "module", ["hybrid.render.frame_renderer", "splat.raster.differentiable", "compose.fusion.combination"]
 )
 def test_it_is_set_before_torch_is_loaded(module):
     """Whichever package is imported first."""

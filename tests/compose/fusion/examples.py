@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from compose.fusion import combination
+from compose.fusion.combination import Fusion
 from compose.fusion.parents import Parents, box_mean
 from tests import small
 
@@ -70,8 +70,15 @@ class PlainFused:
 
 def fuse(parents: Parents) -> PlainFused:
     """The estimate from all parents, in host memory."""
-    found = combination.fuse(parents, smooth)
+    fusion = Fusion(parents)
+    found = fusion.fused(smooth(fusion.ratio))
     return PlainFused(found.radiance.numpy(), found.weights.numpy(), found.excluded)
+
+
+def estimate(parents: Parents) -> np.ndarray:
+    """(H, W, 3) the estimate before it is drawn towards the samples."""
+    fusion = Fusion(parents)
+    return fusion.estimate(smooth(fusion.ratio)).numpy()
 
 
 def in_torch(parents: Parents) -> Parents:

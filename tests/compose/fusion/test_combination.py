@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from compose.fusion import combination
-from compose.fusion.combination import trust, without_samples
+from compose.fusion.combination import Fusion, trust
 from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import IMAGES, cropped, error, example, fuse, in_torch, smooth
+from tests.compose.fusion.examples import IMAGES, cropped, error, estimate, example, fuse, in_torch, smooth
 
 
 def flat(value: float, side: int = 32) -> torch.Tensor:
@@ -117,9 +116,9 @@ def test_an_invalid_sample_is_not_trusted_to_correct_the_estimate():
     """The samples are black where the other parents are 0.5; in an invalid pixel the estimate is kept."""
     given = uniform(traced=0.0, variance=1e-6)
     given.traced[16, 16] = np.nan
-    fused, estimate = fuse(given), without_samples(given, smooth).numpy()
-    np.testing.assert_allclose(fused.radiance[16, 16], estimate[16, 16], rtol=1e-3)
-    assert estimate[4, 4].min() > 0.05
+    fused, kept = fuse(given), estimate(given)
+    np.testing.assert_allclose(fused.radiance[16, 16], kept[16, 16], rtol=1e-3)
+    assert kept[4, 4].min() > 0.05
     assert fused.radiance[4, 4].max() < 0.01
 
 
@@ -230,7 +229,8 @@ def test_planes_side_by_side_are_fused_like_images():
 
 
 def test_the_estimate_is_a_tensor_where_the_parents_are():
-    found = combination.fuse(in_torch(example(7, 4).parents), smooth)
+    fusion = Fusion(in_torch(example(7, 4).parents))
+    found = fusion.fused(smooth(fusion.ratio))
     for image in (found.radiance, found.weights):
         assert isinstance(image, torch.Tensor)
         assert image.device.type == "cpu"

@@ -16,7 +16,7 @@ from compose.fovea.disc import Disc
 from compose.fovea.foveation import Foveation
 from compose.fovea.samples import Samples
 from hybrid.render import disc_images as module
-from hybrid.render.disc_images import DiscImages, Underlay, denoised_for_fusion, parents_of
+from hybrid.render.disc_images import DiscImages, Underlay, parents_of
 from tests import small
 from tests.compose.arrays_of import channels, host, image_on, numbers
 
@@ -60,15 +60,11 @@ def denoisers(monkeypatch):
     """Names of the denoisers that are called; each returns radiance, albedo and normal added up."""
     called = []
 
-    def named(name):
-        def add(radiance, albedo, normal, quick=False):
-            called.append(f"{name}, quick" if quick else name)
-            return radiance + albedo + normal
+    def add(radiance, albedo, normal, quick=False):
+        called.append("quick" if quick else "fine")
+        return radiance + albedo + normal
 
-        return add
-
-    monkeypatch.setattr(module, "denoise", named("fine"))
-    monkeypatch.setattr(module, "denoise_coarsely", named("coarse"))
+    monkeypatch.setattr(module, "denoise", add)
     return called
 
 
@@ -89,19 +85,19 @@ def test_samples_lie_at_their_pixels_and_the_surroundings_fill_the_corners(disc)
     assert (count[~inside] == 1).all()
 
 
-@pytest.mark.parametrize(("quick", "used"), [(True, ["fine, quick", "coarse"]), (False, ["fine", "fine"])])
+@pytest.mark.parametrize(("quick", "used"), [(True, ["quick"]), (False, ["fine"])])
 def test_a_quicker_denoiser_is_used_only_if_asked_for(quick, used, disc, denoisers):
     images = DiscImages(disc, around(disc, 1), around(disc, 2), around(disc, 3), around(disc, 1)[0])
-    for denoised in (images.denoised(quick), denoised_for_fusion(images.tensors(), quick)):
-        assert denoised.shape == (*disc.shape, 3)
-        assert (np.array(denoised) == 6).all()
+    denoised = images.denoised(quick)
+    assert denoised.shape == (*disc.shape, 3)
+    assert (np.array(denoised) == 6).all()
     assert denoisers == used
 
 
 def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
     known = samples(disc, 4)
     splats = small.rng(9).uniform(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
-    parents = parents_of(disc, known, Underlay(CAMERA, image_on(disc.arrays, splats), 1.5))
+    parents = parents_of(disc, known, Underlay(CAMERA, image_on(disc.arrays, splats)))
     found = {
         field.name: value.cpu().numpy()
         for field in fields(parents)
@@ -113,18 +109,16 @@ def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
     np.testing.assert_array_equal(found["traced"], radiance)
     np.testing.assert_array_equal(found["denoised"], radiance + albedo + normal)
     np.testing.assert_array_equal(found["albedo"], albedo)
-    np.testing.assert_array_equal(found["normal"], normal)
     np.testing.assert_array_equal(found["count"], image(disc, [images.count]))
     np.testing.assert_array_equal(of_disc(disc, found["variance"]), numbers(known, "variance"))
     # Nothing is traced outside the disc.
     assert np.isinf(found["variance"]).sum() == 3 * (np.prod(disc.shape) - disc.count)
-    assert (parents.enlargement, parents.quick) == (1.5, False)
 
 
-def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(disc, denoisers):
+def test_parents_in_a_hurry_have_no_denoised_samples(disc, denoisers):
     splats = image_on(disc.arrays, np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32))
-    assert parents_of(disc, samples(disc, 64), Underlay(CAMERA, splats, 1.0), quick=True).quick
-    assert denoisers == ["coarse"]
+    assert parents_of(disc, samples(disc, 64), Underlay(CAMERA, splats), quick=True).denoised is None
+    assert not denoisers
 
 
 @pytest.mark.parametrize("value", [1e15, 1e30, float(np.finfo(np.float32).max), np.inf])
@@ -133,18 +127,16 @@ def test_denoising_leaves_a_firefly_alone(disc, value):
     known = samples(disc, 5)
     radiance = numbers(known, "radiance")
     radiance[disc.count // 2] = value
-    images, plain = (
-        DiscImages.of(disc, replace(known, radiance=light), around(disc, 0.5))
-        for light in (channels(disc.arrays, radiance), known.radiance)
-    )
-    fused = lambda images, quick: np.array(denoised_for_fusion(images.tensors(), quick))  # noqa: E731
+    bright = replace(known, radiance=channels(disc.arrays, radiance))
+    images = DiscImages.of(disc, bright, around(disc, 0.5))
     fine = np.array(images.denoised(quick=False))
-    for denoised in (fine, fused(images, quick=True)):
-        assert (of_disc(disc, denoised) < 2).all(axis=1).sum() >= disc.count - 1
+    assert (of_disc(disc, fine) < 2).all(axis=1).sum() >= disc.count - 1
     where = (image(disc, images.radiance) == np.float32(value)).all(axis=2)
     assert where.any()
     assert (fine[where] == np.float32(value)).all()
-    assert np.median(np.abs(fused(images, quick=False) - fused(plain, quick=False))) < 0.02
+    grey = Underlay(CAMERA, image_on(disc.arrays, np.full((HEIGHT, WIDTH, 3), 0.5, dtype=np.float32)))
+    fused, plain = (parents_of(disc, of, grey).denoised.numpy() for of in (bright, known))
+    assert np.median(np.abs(fused - plain)) < 0.02
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 1e30])

@@ -69,7 +69,7 @@ def even(value: float, spot: float | None = None) -> DeviceImage:
 
 
 def underlay(camera, value: float = 0.3, spot: float | None = None) -> Underlay:
-    return Underlay(camera, even(value, spot), 1.0)
+    return Underlay(camera, even(value, spot))
 
 
 @pytest.fixture

@@ -7,13 +7,11 @@ import mitsuba_oidn
 import numpy as np
 import pytest
 
-import pathtrace.trace.traced_images as module
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import box_positions, frame_positions
 from pathtrace.trace.traced_images import (
     auxiliary_images,
     denoise,
-    denoise_coarsely,
     radiance_image,
     trace_image,
 )
@@ -37,11 +35,6 @@ def images() -> dict[str, np.ndarray]:
     return {"truth": truth, "noisy": noisy, "albedo": albedo, "normal": normal}
 
 
-def coarsely(*images: np.ndarray) -> np.ndarray:
-    """`denoise_coarsely` of arrays."""
-    return np.array(denoise_coarsely(*tensors(*images)))
-
-
 def tensors(*images: np.ndarray) -> list[mi.TensorXf]:
     return [mi.TensorXf(np.ascontiguousarray(image, dtype=np.float32)) for image in images]
 
@@ -50,13 +43,12 @@ def error(image: np.ndarray, truth: np.ndarray) -> float:
     return float(np.mean((image - truth) ** 2))
 
 
-def cleaned(images: dict[str, np.ndarray], clean=denoise, **options) -> np.ndarray:
-    return clean(images["noisy"], images["albedo"], images["normal"], **options)
+def cleaned(images: dict[str, np.ndarray], **options) -> np.ndarray:
+    return denoise(images["noisy"], images["albedo"], images["normal"], **options)
 
 
-@pytest.mark.parametrize("clean", [denoise, coarsely])
-def test_noise_is_removed_without_a_change_in_brightness(images, clean):
-    result = cleaned(images, clean)
+def test_noise_is_removed_without_a_change_in_brightness(images):
+    result = cleaned(images)
     assert result.dtype == np.float32
     # Measured: 27 times less.
     assert error(result, images["truth"]) < error(images["noisy"], images["truth"]) / 15
@@ -87,8 +79,7 @@ def test_the_quick_network_is_used_on_request_only(images, monkeypatch):
         lambda *args, **options: used.append(options["quality"]) or oidn(*args, **options),
     )
     best, quick = cleaned(images), cleaned(images, quick=True)
-    cleaned(images, coarsely)
-    assert used == [mitsuba_oidn.Quality.High, mitsuba_oidn.Quality.Fast, mitsuba_oidn.Quality.Fast]
+    assert used == [mitsuba_oidn.Quality.High, mitsuba_oidn.Quality.Fast]
     assert not np.array_equal(best, quick)
 
 
@@ -112,67 +103,21 @@ def test_albedo_is_clipped_and_arrays_need_not_be_contiguous(images):
     np.testing.assert_array_equal(flipped, expected)
 
 
-@pytest.fixture
-def resampling_alone(monkeypatch):
-    """Replaces the denoiser, so that only the change of resolution is left; records its quality."""
-    asked = []
-
-    def identity(radiance, albedo, normal, quick):
-        asked.append((radiance.shape, albedo.shape, normal.shape, quick))
-        return radiance
-
-    monkeypatch.setattr(module, "_denoised", identity)
-    return asked
-
-
-@pytest.mark.parametrize("size", [(8, 12), (7, 11)])
-def test_a_linear_ramp_survives_the_lower_resolution(resampling_alone, size):
-    """Means of 2 x 2 pixels and linear interpolation reproduce it except at the border."""
-    y, x = np.mgrid[0 : size[0], 0 : size[1]].astype(np.float32)
-    ramp = np.stack([x, y, 3 * x - 2 * y + 50], axis=-1)
-    grey = np.full_like(ramp, 0.4)
-    result = coarsely(ramp, grey, grey)
-    half = (-(-size[0] // 2), -(-size[1] // 2), 3)
-    assert resampling_alone == [(half, half, half, True)]
-    assert result.shape == ramp.shape
-    np.testing.assert_allclose(result[1:-2, 1:-2], ramp[1:-2, 1:-2], rtol=1e-5, atol=1e-5)
-    # In the corner, the mean of the first four pixels is repeated.
-    np.testing.assert_allclose(result[0, 0], [0.5, 0.5, 50.5], rtol=1e-5)
-
-
-def test_an_even_image_stays_even(resampling_alone):
-    """Up to its border, also where an odd side leaves half a block."""
-    even = np.full((7, 11, 3), 2.5, dtype=np.float32)
-    np.testing.assert_allclose(coarsely(even, even, even), even, rtol=1e-5)
-
-
-def test_the_albedos_detail_is_restored(resampling_alone):
-    """Under even light, stripes of single pixels come back although half the resolution cannot show them."""
-    albedo = np.zeros((8, 8, 3), dtype=np.float32)
-    albedo[:, ::2] = 0.8
-    result = coarsely((albedo + np.float32(0.1)) * 5, albedo, albedo)
-    np.testing.assert_allclose(result[:, ::2], 4.5, rtol=1e-5)
-    np.testing.assert_allclose(result[:, 1::2], 0.5, rtol=1e-5)
-
-
 @extreme("denoising the dimmest light", given="radiance of 1e-38", expected="as of radiance 1, to 1e-4")
 def test_dim_images_are_denoised_as_bright_ones(images, got):
     """Where all radiance is below 1e-8, OIDN alone returns some 1e-6 whatever it is given."""
-    # Kernels, by which the coarse one halves, take less than 1e-38 for 0.
-    for clean, least in ((denoise, 1e-38), (coarsely, 1e-30)):
-        bright = cleaned(images, clean)
-        for factor in (1e-6, 1e-9, 1e-20, least):
-            dim = cleaned(images | {"noisy": images["noisy"] * np.float32(factor)}, clean)
-            worst = float(np.abs(dim / factor - bright).max())
-            assert worst < small.denoising_error()
-        got(worst, ".1e")
+    bright = cleaned(images)
+    for factor in (1e-6, 1e-9, 1e-20, 1e-38):
+        dim = cleaned(images | {"noisy": images["noisy"] * np.float32(factor)})
+        worst = float(np.abs(dim / factor - bright).max())
+        assert worst < small.denoising_error()
+    got(worst, ".1e")
 
 
 @extreme("denoising no light", given="a black image", expected="black: OIDN alone shows up to 8e-4")
 def test_black_stays_black(images, got):
     black = np.zeros_like(images["noisy"])
-    for clean in (denoise, coarsely):
-        assert got(cleaned(images | {"noisy": black}, clean).max(), "g") == 0
+    assert got(cleaned(images | {"noisy": black}).max(), "g") == 0
 
 
 def test_what_is_not_finite_is_left_to_the_denoiser(images):
