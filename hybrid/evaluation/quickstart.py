@@ -203,7 +203,7 @@ _IMAGES = (
     (
         "weights",
         "Weights of the fused fovea",
-        "red: path-traced samples, green: the same samples denoised, blue: splats",
+        "red: path-traced samples, green: the same denoised, blue: splats, light blue: relit by the samples",
     ),
 )
 

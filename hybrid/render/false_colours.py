@@ -21,6 +21,8 @@ from hybrid.render.frame import Frame
 _COARSE, _FINE = np.array([230.0, 70.0, 40.0]), np.array([40.0, 110.0, 240.0])
 _TINT = 0.5  # share of the tint in the colour of a pixel
 _RING = 10  # degrees between two rings
+# Of compose.fusion.parents.PARENTS.
+_OF_PARENTS = np.array([[255.0, 0, 0], [0, 255, 0], [120, 190, 255], [0, 0, 255]])
 
 
 def detail_picture(frame: Image, detail: DetailMap, region: FoveaRegion | CellRegion) -> NDArray[np.uint8]:
@@ -92,7 +94,7 @@ def _legend(detail: DetailMap) -> NDArray[np.uint8]:
 
 
 def weights_picture(frame: Frame) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB: the shares of traced, denoised and splat as red, green and blue.
+    """(H, W, 3) sRGB: the shares of traced, denoised, relit and splat as red, green, light blue and blue.
 
     Outside the disc, the picture shows the frame itself in dark grey. ValueError if the fovea is not fused.
     """
@@ -100,6 +102,6 @@ def weights_picture(frame: Frame) -> NDArray[np.uint8]:
         raise ValueError("only a fused fovea has weights")
     shown = bytes_from_radiance(frame.composite).mean(axis=2, keepdims=True).repeat(3, axis=2) * 0.4
     inside = np.asarray(frame.fovea.disc.pixels)
-    shares = frame.of_disc(frame.fovea.weights).reshape(-1, 3)[inside]
-    shown.reshape(-1, 3)[inside] = shares * 255
+    shares = frame.of_disc(frame.fovea.weights).reshape(-1, len(_OF_PARENTS))[inside]
+    shown.reshape(-1, 3)[inside] = shares @ _OF_PARENTS
     return (np.clip(shown, 0, 255) + 0.5).astype(np.uint8)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from compose.fovea.foveation import FoveaMode
+from compose.fusion.parents import PARENTS
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -18,6 +19,7 @@ COMMON = {
     "", "composite", "fovea", "path-traced", "variance", "weight",
     "eccentricity", "level", "rate", "coverage",
 }  # fmt: skip
+SHARES = {f"fusion.{parent}" for parent in PARENTS}
 
 
 def frame_of(renderer: Renderer, settings: FrameSettings) -> Frame:
@@ -29,14 +31,14 @@ def frame_of(renderer: Renderer, settings: FrameSettings) -> Frame:
     [
         (FoveaMode.RAW, set()),
         (FoveaMode.DENOISED, {"denoised"}),
-        (FoveaMode.FUSED, {"denoised", "fusion.traced", "fusion.denoised", "fusion.splat"}),
+        (FoveaMode.FUSED, {"denoised", *SHARES}),
     ],
 )
 def test_each_mode_has_the_images_that_it_was_made_from(renderer, mode, further):
     found = frame_of(renderer, replace(SETTINGS, fovea=mode)).aovs()
     assert {*found} == COMMON | further
     single = {"weight", "eccentricity", "level", "rate", "coverage"}
-    single |= {"fusion.traced", "fusion.denoised", "fusion.splat"}
+    single |= SHARES
     for name, image in found.items():
         assert image.shape == ((30, 40) if name in single else (30, 40, 3))
 
@@ -55,7 +57,7 @@ def test_the_images_are_those_of_the_frame(renderer):
     }
     for name, values in of_disc.items():
         np.testing.assert_array_equal(found[name].reshape(-1, 3)[pixels], host(values))
-    for index, parent in enumerate(("traced", "denoised", "splat")):
+    for index, parent in enumerate(PARENTS):
         np.testing.assert_array_equal(
             found[f"fusion.{parent}"].reshape(-1)[pixels], np.asarray(frame.fovea.weights[index])
         )

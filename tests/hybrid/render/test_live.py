@@ -10,6 +10,7 @@ import pytest
 from compose.base.errors import UserError
 from hybrid.measure.image_metrics import psnr
 from hybrid.render import disc_images as disc
+from hybrid.render import fovea
 from hybrid.render import frame_renderer as renderer
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
@@ -38,14 +39,14 @@ def settings(live) -> FrameSettings:
 def denoisers(monkeypatch):
     """Names of the denoisers that frames use: of samples, and of what splats are relit by."""
     called = []
-    for name in ("denoise", "smooth"):
-        original = getattr(disc, name)
+    for module, name in ((disc, "denoise"), (fovea, "smooth")):
+        original = getattr(module, name)
 
         def noted(*arguments, name=name, original=original):
             called.append(name)
             return original(*arguments)
 
-        monkeypatch.setattr(disc, name, noted)
+        monkeypatch.setattr(module, name, noted)
     return called
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
@@ -204,12 +203,6 @@ def test_one_point_lies_in_one_pixel_for_all(arrays, scene):
     centre = np.array([(image * x).sum(), (image * y).sum()]) / image.sum()
     # The cut at 1/255 is not symmetric about the centre; worst seen 0.01 px.
     np.testing.assert_allclose(centre, expected[0], atol=0.03)
-
-
-def test_a_damaged_network_is_refused_before_the_first_frame(scene, forest):
-    damaged = replace(forest, attached={"fusion.reduce.weight": torch.zeros(3)})
-    with pytest.raises(UserError, match="fusion network is damaged"):
-        Renderer(scene, damaged)
 
 
 def test_a_forest_of_another_scene_is_refused(forest):

@@ -18,7 +18,7 @@ REGION = Foveation(Gaze(), 30, 20).region(32, 24)
 
 
 def frame_of(weights):
-    """A frame with shares (D, 3) of the parents, or none."""
+    """A frame with shares (D, 4) of the parents, or none."""
     arrays = device_arrays()
     disc = REGION.disc(arrays)
     shares = None if weights is None else [arrays.plain.Float(share.copy()) for share in weights.T]
@@ -30,15 +30,16 @@ def frame_of(weights):
 @pytest.mark.parametrize(
     ("shares", "colour"),
     [
-        ((1, 0, 0), (255, 0, 0)),
-        ((0, 1, 0), (0, 255, 0)),
-        ((0, 0, 1), (0, 0, 255)),
-        ((0.5, 0.3, 0.2), (128, 77, 51)),
-        # Rounding in the network's softmax leaves 0..1.
-        ((1.001, -0.001, 0), (255, 0, 0)),
+        ((1, 0, 0, 0), (255, 0, 0)),
+        ((0, 1, 0, 0), (0, 255, 0)),
+        ((0, 0, 1, 0), (120, 190, 255)),
+        ((0, 0, 0, 1), (0, 0, 255)),
+        ((0.5, 0.3, 0, 0.2), (128, 77, 51)),
+        # Rounding in the softmax leaves 0..1.
+        ((1.001, -0.001, 0, 0), (255, 0, 0)),
     ],
 )
-def test_shares_are_red_green_and_blue(shares, colour):
+def test_shares_are_red_green_light_blue_and_blue(shares, colour):
     picture = weights_picture(frame_of(np.tile(np.float32(shares), (REGION.count, 1))))
     assert picture.shape == (24, 32, 3)
     assert picture.dtype == np.uint8
@@ -46,13 +47,16 @@ def test_shares_are_red_green_and_blue(shares, colour):
 
 
 def test_each_pixel_shows_its_own_shares():
-    weights = np.linspace(0, 1, 3 * REGION.count, dtype=np.float32).reshape(-1, 3)
+    weights = np.zeros((REGION.count, 4), dtype=np.float32)
+    weights[:, 0] = np.linspace(0, 1, REGION.count)
+    weights[:, 3] = 1 - weights[:, 0]
     picture = weights_picture(frame_of(weights))
-    np.testing.assert_allclose(picture.reshape(-1, 3)[REGION.pixels], weights * 255, atol=0.5)
+    found = picture.reshape(-1, 3)[REGION.pixels]
+    np.testing.assert_allclose(found, weights[:, [0, 1, 3]] * 255, atol=0.5)
 
 
 def test_outside_the_disc_the_frame_is_dark_and_grey():
-    frame = frame_of(np.zeros((REGION.count, 3), dtype=np.float32))
+    frame = frame_of(np.zeros((REGION.count, 4), dtype=np.float32))
     outside = REGION.weight_image() == 0
     found = weights_picture(frame)[outside]
     # Red 255, no green, blue 124: 0.4 times their mean.
