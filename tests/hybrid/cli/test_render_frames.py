@@ -46,7 +46,6 @@ def test_training_says_what_it_reads_and_how_good_it_is(ball, monkeypatch, tmp_p
     row = json.loads((ball / "t.json").read_text())
     assert row["scene"] == "ball"
     assert row["layers"][-1]["psnr"] > 14
-    assert row["fusion"] == []
     few = ["--iterations", 5, "--gaussians", 200, "--degree", 0, "--layers", 1, "--motion", "d-gs"]
     assert run(monkeypatch, "train", ball / "ball", tmp_path / "f", *few) == 0
     shown = capsys.readouterr().out.splitlines()
