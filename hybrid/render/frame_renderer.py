@@ -58,7 +58,7 @@ class Renderer:
         >>> frame.save("frame.exr")
     """
 
-    # Whether samples are distributed evenly and, in a new frame, made an image by the quicker denoiser.
+    # Whether samples are distributed evenly and, in a new frame, made an image in less time.
     _is_quick = False
     # How well what the forest does not know is traced, and whether the frame shows what the last one showed.
     _effort, _still = STILL, False
@@ -202,7 +202,7 @@ class Renderer:
         clock: PassClock,
         quick: bool,
     ) -> FoveaImage:
-        """Traces a disc and makes the fovea from its samples, with the quicker denoiser if `quick`."""
+        """Traces a disc and makes the fovea from its samples, in less time if `quick`."""
         maker, mode = self.fovea_of(settings), settings.fovea
         disc, samples = maker.trace(mode, camera, disc, settings.traced_spp, seed, underlay, self._is_quick)
         clock.lap("trace")
@@ -347,7 +347,7 @@ class LiveRenderer(Renderer):
         return detail, drawn, whole if settings.fovea is FoveaMode.FUSED else None
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
-        """The last frame with `spp` more samples per pixel in its disc; `quick` for the quicker denoiser."""
+        """The last frame with `spp` more samples per pixel in its disc, made in less time if `quick`."""
         clock, settings = PassClock(), replace(frame.settings, spp=spp)
         self._relight(settings)
         disc, periphery = frame.fovea.disc, frame.splats

@@ -98,13 +98,13 @@ def test_black_images_stay_black():
 
 
 @pytest.mark.parametrize("quick", [False, True])
-@pytest.mark.parametrize("spp", [1, 4, 16, 64])
-def test_the_result_is_hardly_worse_than_its_better_parent(spp, quick):
+@pytest.mark.parametrize(("spp", "worse"), [(1, 0.05), (4, 0.05), (16, 0.05), (64, 0.5)])
+def test_the_result_is_hardly_worse_than_its_better_parent(spp, worse, quick):
     given = example(8, spp)
     parents = replace(given.parents, denoised=None) if quick else given.parents
     names = ("splat",) if quick else ("splat", "denoised")
     better = min(error(getattr(parents, name), given.radiance) for name in names)
-    assert error(fuse(parents).radiance, given.radiance) < better + 0.5
+    assert error(fuse(parents).radiance, given.radiance) < better + worse
 
 
 def test_the_error_falls_with_the_samples():
