@@ -2,10 +2,11 @@
 
     python -m benchmarks.fit_fusion SCENE=FOREST ... [--views N] [--json FILE]
 
-Foveas of 480 x 360 frames, in views that no forest was trained on, against unbiased references of 768
+Foveas of frames of two sizes, in views that no forest was trained on, against unbiased references of 768
 samples per pixel: of single frames, of views that stand still, and of walks. Reports rows of what the product
 makes of them, PSNR in dB; the tables of compose/fusion/estimates.py, fitted to all scenes; and the gain over
-the best estimate alone in each scene, by odds that were fitted without it.
+the better one of splats and denoised samples, or over splats alone, in each scene, by odds that were fitted
+without it.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ from benchmarks import parser_of, report
 from compose.camera.camera import Camera, camera_from_pose
 from compose.fovea.disc import Disc
 from compose.fusion.combination import Fusion
-from compose.fusion.estimates import dark_of, evidence, ratio_of, relit, sharpened, texture_of
 from compose.fusion.parents import Parents, as_batch
 from hybrid.render.disc_images import parents_of, smooth
+from hybrid.render.fovea import DENOISED_FROM
 from hybrid.render.frame_renderer import Renderer
 from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.backend import select_backend
 from pathtrace.trace.traced_images import denoise
 
-_SIZE, _GAZES = (480, 360), ((0.5, 0.5), (0.35, 0.6), (0.65, 0.45))
+_SIZES, _GAZES = ((480, 360), (320, 240)), ((0.5, 0.5), (0.35, 0.6), (0.65, 0.45))
 _COUNTS = {"fresh": (1, 2, 4, 8, 16, 32), "walk": (1, 2, 4), "still": (1, 2, 4)}
 # Frames before the last one, and degrees that the camera turns between two of them.
 _FRAMES, _TURN = 6, 0.6
@@ -41,8 +42,10 @@ _FRAMES, _TURN = 6, 0.6
 _PASSES, _SPP, _SEED = 3, 128, 9000
 # Squared errors below this, of square roots of radiance, are not seen; the share of the better estimate's
 # error below which less of it counts no more; and the penalty on squared odds.
-_INVISIBLE, _LEAST, _PENALTY = 3e-5, 0.1, 1e-3
-_STEPS, _RATE, _BLOCK = 150, 0.1, 4
+_INVISIBLE, _LEAST, _PENALTY = 1e-5, 0.1, 1e-3
+_STEPS, _RATE, _BLOCK = 300, 0.1, 4
+# Of the blocks, those that are fitted to.
+_EVERY = 4
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,9 @@ class Fovea:
 
     Attributes:
         scene, kind, spp: of its samples.
-        estimates: splats, sharpened splats, relit ones, denoised samples; then what the product makes of them
-            without denoised samples, and with them.
+        denoises: whether there are so many that the product denoises them.
+        estimates: splats as they are, those that are mixed, relit ones, denoised samples; then what the
+            product makes of them without denoised samples, and with them.
         seen: what the odds depend on without denoised samples and with them, (C, B) of blocks in the disc.
         target, noise, inside: roots of radiance, half the difference of those of two halves; 1 in the disc.
     """
@@ -60,6 +64,7 @@ class Fovea:
     scene: str
     kind: str
     spp: int
+    denoises: bool
     estimates: list[Tensor]
     seen: tuple[Tensor, Tensor]
     target: Tensor
@@ -92,7 +97,8 @@ def foveas(name: str, file: Path, views: int) -> Iterator[Fovea]:
     forest = hybrid.load_forest(file)
     scene = hybrid.load_scene(name)
     renderer = Renderer(scene, forest)
-    for number, view in enumerate(unseen_views(renderer.scene, views, *_SIZE)):
+    seen = (view for size in _SIZES for view in enumerate(unseen_views(renderer.scene, views, *size)))
+    for number, view in seen:
         gaze = _GAZES[number % len(_GAZES)]
         settings = hybrid.FrameSettings(gaze=gaze, camera=view.camera, time=view.time)
         truth = _truth(renderer, settings)
@@ -140,24 +146,19 @@ def _fovea(
     truth: tuple[Tensor, Tensor, Tensor],
 ) -> Fovea:
     parents = _last_of(kind, settings, fresh)
-    quick = replace(parents, denoised=None)
     images = {name: _cropped(as_batch(image)) for name, image in parents.images().items()}
-    traced, splat, count, denoised = (images[name] for name in ("traced", "splat", "count", "denoised"))
-    dark = dark_of(traced, splat)
-    level = splat.mean(1, keepdim=True) + dark
-    sharp = sharpened(splat, texture_of(images["albedo"]), traced, level)
-    light = relit(sharp, smooth(ratio_of(traced, sharp, dark)), dark)
+    parents = replace(parents, **{name: image[0].permute(1, 2, 0) for name, image in images.items()})
     whole = _blocks(truth[2])[0, 0] > 1 - 1e-6
-    seen = [evidence(sharp, light, of, traced, count, level)[0][:, whole] for of in (None, denoised)]
-    made = [_cropped(as_batch(_fused(of))) for of in (quick, parents)]
-    return Fovea(
-        scene, kind, settings.spp, [splat, sharp, light, denoised, *made], (seen[0], seen[1]), *truth
-    )
-
-
-def _fused(parents: Parents) -> Tensor:
-    fusion = Fusion(parents)
-    return fusion.fused(smooth(fusion.ratio)).radiance
+    candidates, seen, made = [], [], []
+    for of in (replace(parents, denoised=None), parents):
+        fusion = Fusion(of)
+        ratio = smooth(fusion.ratio)
+        candidates = fusion.candidates(ratio)
+        seen.append(fusion.evidence(candidates)[0][:, whole])
+        made.append(as_batch(fusion.fused(ratio).radiance))
+    denoises = float(images["count"].mean()) >= DENOISED_FROM
+    estimates = [images["splat"], *candidates, made[0], made[denoises]]
+    return Fovea(scene, kind, settings.spp, denoises, estimates, (seen[0], seen[1]), *truth)
 
 
 def _last_of(kind: str, settings: hybrid.FrameSettings, fresh: Renderer) -> Parents:
@@ -178,7 +179,7 @@ def _turned(camera: Camera, degrees: float) -> Camera:
     sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
     pose = camera.camera_to_world.copy()
     pose[:3, :3] = pose[:3, :3] @ [[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]]
-    return camera_from_pose(pose, *_SIZE, camera.fx, camera.fy, camera.cx, camera.cy)
+    return camera_from_pose(pose, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 @dataclass(frozen=True)
@@ -188,13 +189,14 @@ class Examples:
     seen: Tensor
     products: Tensor
     disc: Tensor
-    better: Tensor  # (discs,) least error of an estimate alone
+    better: Tensor  # (discs,) error of splats, or of denoised samples if that is less
 
     @staticmethod
     def of(found: Sequence[tuple[Fovea, Tensor]], with_denoised: bool) -> Examples:
         """Of foveas and their products."""
-        used = [1, 2, 3] if with_denoised else [1, 2]
-        alone = [products.mean(2).diagonal()[[0, *used]].min() for _, products in found]
+        used, parents = ([1, 2, 3], [0, 3]) if with_denoised else ([1, 2], [0])
+        found = [one for one in found if one[0].denoises or not with_denoised]
+        alone = [products.mean(2).diagonal()[parents].min() for _, products in found]
         sizes = torch.tensor([products.shape[2] for _, products in found])
         return Examples(
             torch.cat([fovea.seen[with_denoised] for fovea, _ in found], 1),
@@ -209,13 +211,14 @@ class Examples:
         weights = torch.softmax(torch.cat([torch.zeros_like(logits[:1]), logits]), 0)
         errors = torch.einsum("kb,klb,lb->b", weights, self.products, weights)
         sums = torch.zeros(len(self.better)).index_add(0, self.disc, errors)
-        return sums / torch.bincount(self.disc)
+        return sums / torch.bincount(self.disc, minlength=len(self.better))
 
     def fitted(self) -> Tensor:
         """(K - 1, C) odds that make the mean logarithm of the errors small."""
         mean, deviation = self.seen.mean(1), self.seen.std(1).clamp(min=1e-3)
         mean[0], deviation[0] = 0, 1  # the constant channel
-        scaled = replace(self, seen=(self.seen - mean[:, None]) / deviation[:, None])
+        some = ((self.seen - mean[:, None]) / deviation[:, None])[:, ::_EVERY]
+        scaled = replace(self, seen=some, products=self.products[..., ::_EVERY], disc=self.disc[::_EVERY])
         odds = torch.zeros(len(self.products) - 1, len(mean), requires_grad=True)
         optimizer = torch.optim.Adam([odds], _RATE)
         for step in range(_STEPS):

@@ -155,9 +155,10 @@ class History:
     def recall(self, pixels: UInt) -> Samples:
         """What is known of pixels (D,) of the current view, all of which have been seen."""
         view = self._current()
-        known = means(self._with_past(view, view.record(pixels), pixels))
-        hits = view.hit(pixels)
-        recalled = Samples(pixels, *known, hits[_POINT], hits[_GLOSS], hits[_MOVER])
+        own, hits = view.record(pixels), view.hit(pixels)
+        known = self._with_past(view, own, pixels)
+        earlier = known[COUNT] - own[COUNT]
+        recalled = Samples(pixels, *means(known), hits[_POINT], hits[_GLOSS], hits[_MOVER], earlier)
         dr.eval(vars(recalled))
         return recalled
 

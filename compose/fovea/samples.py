@@ -43,13 +43,14 @@ class Samples:
     position: list[Float]  # in the world, where one of the samples appears to hit; far away for sky
     gloss: Float  # DIFFUSE, GLOSSY or SPECULAR (compose.base.traced_samples), of what it hits
     mover: Float  # number of what it hits among what moves; 0 if that stands still
+    earlier: Float  # how many of the samples were reprojected from earlier views
 
     @staticmethod
     def none(arrays: Arrays, pixels: UInt) -> Samples:
         """Pixels about which nothing is known."""
         nothing = dr.zeros(arrays.plain.Float, dr.width(pixels))
         triple = [nothing] * 3
-        return Samples(pixels, nothing, triple, triple, triple, triple, triple, nothing, nothing)
+        return Samples(pixels, nothing, *[triple] * 5, *[nothing] * 3)
 
     @property
     def size(self) -> int:

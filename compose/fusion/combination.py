@@ -11,12 +11,15 @@ estimate is a mixture of the splats, as they are and as the samples correct them
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.estimates import dark_of, ratio_of, relit, shares, sharpened, texture_of
+from compose.fusion.estimates import dark_of, evidence, ratio_of, relit, shares, sharpened, texture_of
 from compose.fusion.parents import (
+    PARENTS,
     Fused,
     Parents,
     as_batch,
@@ -44,7 +47,7 @@ class Fusion:
     """
 
     def __init__(self, parents: Parents):
-        self._size = parents.traced.shape[:2]
+        self._size, self._expected = parents.traced.shape[:2], parents.expected
         with torch.inference_mode():
             self._images, self._plain, self._excluded = _prepared(parents)
             traced, splat = self._images["traced"], self._images["splat"]
@@ -67,14 +70,24 @@ class Fusion:
         """(H, W, 3) the estimate before it is drawn towards the samples; `smooth` is the denoised ratio."""
         return self._whole(self._mixed(smooth)[0])
 
+    @torch.inference_mode()
+    def candidates(self, smooth: Tensor) -> list[Tensor]:
+        """(1, 3, H, W) each: splats, relit splats and, if there are any, denoised samples."""
+        light = relit(self._sharp, smooth, self._dark)
+        return [self._sharp, light, *([self._images["denoised"]] if "denoised" in self._images else [])]
+
+    @torch.inference_mode()
+    def evidence(self, candidates: Sequence[Tensor]) -> Tensor:
+        """What their shares depend on (compose.fusion.estimates.evidence)."""
+        return evidence(candidates, self._images, self._level, self._expected)
+
     def _mixed(self, smooth: Tensor) -> tuple[Tensor, Tensor]:
         """Radiance (1, 3, H, W), and the weights in it of all PARENTS but the first."""
-        images, light = self._images, relit(self._sharp, smooth, self._dark)
-        denoised = images.get("denoised")
-        weights = shares(self._sharp, light, denoised, images["traced"], images["count"], self._level)
-        radiance = weights[:, 0:1] * self._sharp + weights[:, 1:2] * light
-        if denoised is not None:
-            radiance = radiance + weights[:, 2:3] * denoised
+        found = self.candidates(smooth)
+        weights = shares(self.evidence(found), found[0])
+        radiance = sum(weights[:, n : n + 1] * image for n, image in enumerate(found))
+        if len(found) < len(PARENTS) - 1:
+            weights = torch.cat([weights, torch.zeros_like(weights[:, :1])], 1)
         return radiance, weights.flip(1)
 
     def _whole(self, image: Tensor) -> Tensor:

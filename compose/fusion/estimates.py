@@ -11,6 +11,9 @@ counts for 1 at most. Images are (N, 3, H, W), levels and counts (N, 1, H, W).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from math import log
+
 import torch
 from torch import Tensor
 
@@ -19,18 +22,20 @@ from compose.fusion.parents import box_mean, enlarged, halved
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
 ODDS = (
-    (-2.240, -0.183, 0.010, 0.355, 0.041, -0.098, 0.058, 0.122, -0.006, -0.023),  # relit splats
-    (3.387, -0.149, 0.523, -0.016, 0.508, -0.335, 0.221, 0.497, 0.148, 0.221),  # denoised samples
+    (-0.905, -0.310, 0.047, 0.181, 0.323, -0.130, 0.206, 0.398, 0.187, -0.504, 1.009),  # relit splats
+    (1.517, 0.014, 0.726, 0.024, 0.541, -0.488, 0.230, 1.447, -0.131, 0.099, -0.515),  # denoised samples
 )
-QUICK_ODDS = ((2.031, -0.551, 0.661, 0.511, 0.345),)
+QUICK_ODDS = ((6.461, -0.737, 0.349, 0.583, 0.152, 0.951),)
 _FURTHEST, _MOST_SAMPLES = 3.0, 64.0
+# Within which the expected error of splats counts.
+_LEAST, _MOST = 1e-5, 1e-2
 # Squared differences below this count as none, and light below this share of the image's as dark.
 _SAME, _DARK = 1e-5, 0.1
 # Albedo below this counts as black: its logarithm would be noise.
 _BLACK = 0.03
-# Share of the texture that the splats seem to lack which they are given: samples share their noise with the
+# Share of its texture that the splats seem to lack where they lack none: samples share their noise with the
 # albedo.
-_LACKING = 0.7
+_SHARED = 0.2
 # Of what counts as dark, added to radiance before it is divided; and the largest quotient.
 _OFFSET, _MOST_RATIO = 0.5, 100.0
 
@@ -51,8 +56,7 @@ def texture_of(albedo: Tensor) -> Tensor:
 def sharpened(splat: Tensor, texture: Tensor, traced: Tensor, level: Tensor) -> Tensor:
     """Splats with the texture of the albedo that they lack, as the samples tell.
 
-    One number for the image says how much of it, by least squares; or too much, where they have more than the
-    surface.
+    One number for the image says how much of it, by least squares.
     """
     seen = _seen(splat, level)
     # Around the disc the samples are the splats themselves.
@@ -61,7 +65,7 @@ def sharpened(splat: Tensor, texture: Tensor, traced: Tensor, level: Tensor) -> 
     change = torch.where(known, seen * (1 - seen) * texture, 0)
     found = (change * (_seen(traced, level) - seen)).sum((1, 2, 3), keepdim=True)
     found = found / (change**2).sum((1, 2, 3), keepdim=True).clamp(min=_SAME)
-    return splat * torch.exp(_LACKING * found.clamp(-1, 1) * texture)
+    return splat * torch.exp((found - _SHARED).clamp(0, 1) * texture)
 
 
 def ratio_of(traced: Tensor, splat: Tensor, dark: Tensor) -> Tensor:
@@ -77,43 +81,44 @@ def relit(splat: Tensor, ratio: Tensor, dark: Tensor) -> Tensor:
     return (enlarged(ratio, splat) * (splat + offset) - offset).clamp(min=0)
 
 
-def shares(
-    splat: Tensor, relit: Tensor, denoised: Tensor | None, traced: Tensor, count: Tensor, level: Tensor
-) -> Tensor:
-    """(N, 3, H, W) weights of splats, relit splats and denoised samples in a mixture; 0 of what there is not.
+def shares(seen: Tensor, like: Tensor) -> Tensor:
+    """(N, 2 or 3, H, W) weights of the candidates in a mixture by what is seen of them (`evidence`).
 
     They are logistic in the logarithms of what is seen: what a filter got wrong cannot be told from the
     samples that it has seen, but follows a power of what it removed, at all sample counts alike.
     """
-    seen = evidence(splat, relit, denoised, traced, count, level)
-    odds = seen.new_tensor(QUICK_ODDS if denoised is None else ODDS)
+    odds = seen.new_tensor(QUICK_ODDS if seen.shape[1] == len(QUICK_ODDS[0]) else ODDS)
     logits = torch.einsum("kc,nchw->nkhw", odds, seen)
     weights = torch.softmax(torch.cat([torch.zeros_like(logits[:, :1]), logits], 1), 1)
-    weights = enlarged(weights, splat)
-    return weights if denoised is not None else torch.cat([weights, torch.zeros_like(weights[:, :1])], 1)
+    return enlarged(weights, like)
 
 
 def evidence(
-    splat: Tensor, relit: Tensor, denoised: Tensor | None, traced: Tensor, count: Tensor, level: Tensor
+    candidates: Sequence[Tensor], images: Mapping[str, Tensor], level: Tensor, expected: float
 ) -> Tensor:
-    """What the odds of an estimate against the splats depend on, (N, 5 or 10, H / 4, W / 4).
+    """What the odds of an estimate against the splats depend on, (N, 6 or 11, H / 4, W / 4).
 
-    The channels are 1; the logarithms of what relit splats lack of the samples and of how far they are from
-    the splats, both squared; how far the samples lie on the way from the splats to them; and the doublings of
-    the sample count. With denoised samples, the three of these; and how far these are from relit splats, and
-    the samples on the way there. What is seen is the mean over about 12 x 12 pixels.
+    Candidates are splats, relit splats and, if there are any, denoised samples; images and what is expected
+    are those of Parents. The channels are 1; the logarithms of what relit splats lack of the samples and of
+    how far they are from the splats, both squared; how far the samples lie on the way from the splats to
+    them; and the doublings of the sample count. Then, the logarithm of what is expected; or with denoised
+    samples, the three of these, how far these are from relit splats, and the samples on the way there, and
+    the share of samples of earlier views: denoising takes what they have in common for what there is. What is
+    seen is the mean over about 12 x 12 pixels.
     """
-    samples, first, second = (_seen(image, level) for image in (traced, splat, relit))
+    samples, first, second, *third = (_seen(image, level) for image in (images["traced"], *candidates))
     products = _products(samples, first, second)
-    if denoised is not None:
-        third = _seen(denoised, level)
-        products += _products(samples, first, third) + _products(samples, second, third)[1:]
-    coarse = halved(torch.cat([*(part.mean(1, keepdim=True) for part in products), count], 1))
-    *means, number = box_mean(halved(coarse)).split(1, 1)
+    for denoised in third:
+        products += _products(samples, first, denoised) + _products(samples, second, denoised)[1:]
+    maps = [*(part.mean(1, keepdim=True) for part in products), images["count"], images["earlier"]]
+    *means, number, earlier = box_mean(halved(halved(torch.cat(maps, 1)))).split(1, 1)
     doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
     channels = [torch.ones_like(number), torch.log(means[0] + _SAME), *_way(*means[1:3]), doublings]
-    if denoised is not None:
+    if third:
         channels += [torch.log(means[3] + _SAME), *_way(*means[4:6]), *_way(*means[6:8])]
+        channels.append((earlier / number.clamp(min=1)).clamp(max=1))
+    else:
+        channels.append(torch.full_like(number, log(min(max(expected, _LEAST), _MOST))))
     return torch.cat(channels, 1)
 
 

@@ -13,6 +13,8 @@ from compose.image.colour import LUMINANCE_WEIGHTS, Image
 
 # What an estimate is made of, in the order of its weights.
 PARENTS = ("traced", "denoised", "relit", "splat")
+# Squared error of sRGB values, from 0 to 1, of splats of which nothing is known: that of a forest of 35 dB.
+TYPICAL_ERROR = 3e-4
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,9 @@ class Parents:
     """Images of one view from which its radiance is estimated, all of NumPy or all of torch on one device.
 
     ValueError if the shapes do not match.
+
+    Attributes:
+        expected: squared error of sRGB values, from 0 to 1, that is typical of the splats.
     """
 
     traced: Image | Tensor  # (H, W, 3) mean of the path-traced samples, linear radiance
@@ -27,18 +32,20 @@ class Parents:
     splat: Image | Tensor  # (H, W, 3) the splats, rendered for the same view
     albedo: Image | Tensor  # (H, W, 3) of the same samples
     count: Image | Tensor  # (H, W, 1) number of samples
+    earlier: Image | Tensor  # (H, W, 1) how many of these were reprojected from earlier views
     denoised: Image | Tensor | None = None  # (H, W, 3) the same samples, denoised, unless that takes too long
+    expected: float = TYPICAL_ERROR
 
     def __post_init__(self) -> None:
         for name, image in self.images().items():
             shape = tuple(image.shape)
-            expected = (*self.traced.shape[:2], 1 if name == "count" else 3)
+            expected = (*self.traced.shape[:2], 1 if name in ("count", "earlier") else 3)
             if shape != expected:
                 raise ValueError(f"{name} is {shape}, must be {expected} to match traced")
 
     def images(self) -> dict[str, Image | Tensor]:
         """All images that there are, by name."""
-        return {name: image for name, image in vars(self).items() if image is not None}
+        return {name: of for name, of in vars(self).items() if isinstance(of, np.ndarray | Tensor)}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import torch
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
 from compose.fovea.samples import Samples
-from compose.fusion.parents import Parents
+from compose.fusion.parents import TYPICAL_ERROR, Parents
 from compose.image.colour import MOST, Image, filled, outliers
 from compose.image.device_image import DeviceImage, all_plain
 from hybrid.base.compute_device import device_arrays
@@ -31,11 +31,12 @@ class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
     The radiance is linear and of the whole frame (ValueError if it is not); only the rectangle around the
-    disc is used.
+    disc is used. What is expected is the splats' error, as in Parents.
     """
 
     camera: Camera
     radiance: DeviceImage
+    expected: float = TYPICAL_ERROR
 
     def __post_init__(self) -> None:
         width, height = self.radiance.width, self.radiance.height
@@ -49,15 +50,15 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
     """The images that are fused, of the disc's pixels; if `quick`, without denoised samples."""
     splats = disc.of_frame(underlay.radiance)
     images = DiscImages.of(disc, samples, splats)
-    variance = disc.images(samples.variance(), [dr.inf] * 3)
+    variance = disc.images([*samples.variance(), samples.earlier], [*[dr.inf] * 3, 0.0])
     shown = [*images.radiance, *images.albedo, images.count, *splats, *variance]
     planes = _planes(disc, shown).permute(1, 2, 0)
-    traced, albedo, count, splat, unknown = torch.split(planes, [3, 3, 1, 3, 3], dim=2)
+    traced, albedo, count, splat, unknown, earlier = torch.split(planes, [3, 3, 1, 3, 3, 1], dim=2)
     denoised = None
     if not quick:
         # Tiles with their borders have twice as many pixels.
         denoised = _torch(denoise(*_plain(images.tensors()), disc.tiling is not None))
-    return Parents(traced, unknown, splat, albedo, count, denoised)
+    return Parents(traced, unknown, splat, albedo, count, earlier, denoised, underlay.expected)
 
 
 def smooth(image: torch.Tensor) -> torch.Tensor:

@@ -15,6 +15,7 @@ from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.detail import CELL, resolved_share
 from compose.fovea.cells import CellRegion, chosen
 from compose.fovea.foveation import FoveaRegion
+from compose.fusion.parents import TYPICAL_ERROR
 from compose.image.colour import Image
 from hybrid.render.forest_attachments import errors_of
 from hybrid.render.frame_settings import FrameSettings
@@ -28,6 +29,8 @@ _RATE = 3
 _PER_CELL = CELL >> _RATE
 # Errors are drawn as radiance, which has few digits where it is as small as they are.
 _SCALE = 256.0
+# Errors below this are of no more use.
+_LEAST = 1e-9
 
 
 def harmonics_of(errors: torch.Tensor) -> torch.Tensor:
@@ -57,6 +60,14 @@ class ExpectedErrors:
             "made by an earlier version"
         )
         return False
+
+    @cached_property
+    def typical(self) -> float:
+        """The geometric mean over the nodes; TYPICAL_ERROR if none are known."""
+        errors = errors_of(self._forest)
+        if errors is None or not len(errors):
+            return TYPICAL_ERROR
+        return float(torch.log(errors.clamp(min=_LEAST)).mean().exp())
 
     @cached_property
     def _renderer(self) -> ForestRenderer:

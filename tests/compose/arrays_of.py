@@ -72,7 +72,7 @@ def each_of(counts: int | Counts, size: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class PlainSamples:
-    """Samples of D pixels: pixels, count, gloss and mover (D,), everything else (D, 3)."""
+    """Samples of D pixels: pixels, count, gloss, mover and earlier (D,), everything else (D, 3)."""
 
     pixels: NDArray[np.uint32]
     count: Floats
@@ -83,6 +83,7 @@ class PlainSamples:
     position: Floats
     gloss: NDArray[np.uint8]
     mover: NDArray[np.uint16]
+    earlier: Floats
 
     @staticmethod
     def of(samples: Samples) -> PlainSamples:
@@ -93,7 +94,7 @@ class PlainSamples:
         """A copy on the device."""
         numbers = (self.count, self.radiance, self.squares, self.albedo, self.normal, self.position)
         light = (channels(arrays, v) if v.ndim == 2 else floats(arrays, v) for v in numbers)
-        kinds = (floats(arrays, kind) for kind in (self.gloss, self.mover))
+        kinds = (floats(arrays, kind) for kind in (self.gloss, self.mover, self.earlier))
         return Samples(indices(arrays, self.pixels), *light, *kinds)
 
     def part(self, chosen: Any) -> PlainSamples:

@@ -88,7 +88,7 @@ def fused(
     variance = np.maximum(squares - radiance**2, 0) / (_SPP - 1)
     count = np.full((*shape[:2], 1), _SPP, dtype=np.float32)
     denoised = denoise(radiance, albedo, normal)
-    parents = Parents(radiance, variance, splats, albedo, count, denoised)
+    parents = Parents(radiance, variance, splats, albedo, count, 0 * count, denoised)
     fusion = Fusion(parents)
     return denoised, fusion.fused(smooth(fusion.ratio)).radiance.numpy()
 

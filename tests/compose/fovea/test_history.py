@@ -111,6 +111,16 @@ def test_what_was_seen_before_is_known_without_looking_again(arrays):
     np.testing.assert_allclose(known.normal, new.normal)
 
 
+def test_it_says_how_many_samples_were_reprojected(arrays):
+    history, view = PlainHistory(arrays), camera()
+    new = samples(wall(view), np.ones(3), count=3)
+    assert (added(history, view, new).earlier == 0).all()
+    assert (added(history, view, new).earlier == 0).all()
+    known = added(history, again(1), new)
+    np.testing.assert_allclose(known.count, known.earlier + 3, rtol=1e-5)
+    assert np.median(known.earlier) > 3
+
+
 def test_auxiliary_features_are_means_over_sample_positions(arrays):
     """4 positions of 0.2 and 12 of 0.6: 0.5; what they hit is what the first ones hit."""
     history, view = PlainHistory(arrays), camera()

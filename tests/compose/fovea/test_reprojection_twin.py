@@ -60,7 +60,7 @@ def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[fl
     position = ground(view, pixels.astype(np.int64), rng).astype(np.float32)
     dark = np.zeros((len(pixels), 3), dtype=np.float32)
     gloss, mover = gloss_of(position), mover_of(position)
-    return PlainSamples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss, mover)
+    return PlainSamples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss, mover, dark[:, 0])
 
 
 def remembered(
@@ -194,7 +194,8 @@ def test_points_on_the_borders_of_quarters(arrays):
     dark = np.zeros((len(every), 3), dtype=np.float32)
     gloss = np.zeros(len(every), dtype=np.uint8)
     still = gloss.astype(np.uint16)
-    new = PlainSamples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss, still)
+    none = dark[:, 0]
+    new = PlainSamples(every.astype(np.uint32), none, *[dark] * 4, position, gloss, still, none)
     x, y = np.meshgrid(np.arange(-4, 4.125, 0.125), np.arange(-2, 2.125, 0.125))
     point = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(np.float32)
     records = np.ones((len(point), RECORD), dtype=np.float32)

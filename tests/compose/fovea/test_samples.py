@@ -29,6 +29,7 @@ def of_draws(arrays: Arrays, draws: np.ndarray) -> Samples:
         triple,
         np.full(size, count, dtype=np.uint8),
         np.zeros(size, dtype=np.uint16),
+        np.zeros(size, dtype=np.float32),
     ).on(arrays)
 
 

@@ -45,6 +45,7 @@ def samples(
         position.astype(np.float32),
         np.full(size, gloss, dtype=np.uint8),
         np.full(size, mover, dtype=np.uint16),
+        np.zeros(size, dtype=np.float32),
     )
 
 

@@ -37,6 +37,7 @@ def example(seed: int, spp: int, size: int = 96) -> Example:
         splat=blurred(truth, 1.5),
         albedo=albedo,
         count=np.full((size, size, 1), spp, dtype=np.float32),
+        earlier=np.zeros((size, size, 1), dtype=np.float32),
     )
     return Example(parents, truth)
 
@@ -51,7 +52,7 @@ def error(image: np.ndarray, truth: np.ndarray) -> float:
     return 10 * np.log10(np.mean((image - truth) ** 2))
 
 
-IMAGES = ("traced", "variance", "denoised", "splat", "albedo", "count")
+IMAGES = ("traced", "variance", "denoised", "splat", "albedo", "count", "earlier")
 
 
 def smooth(image: torch.Tensor) -> torch.Tensor:

@@ -26,7 +26,8 @@ def uniform(size: int = 32, count: float = 4, **values: float) -> Parents:
     shape = (size, size, 3)
     names = ("traced", "variance", "denoised", "splat", "albedo")
     images = {n: np.full(shape, values.get(n, 0.01 if n == "variance" else 0.5), np.float32) for n in names}
-    return Parents(**images, count=np.full((size, size, 1), count, np.float32))
+    number = np.full((size, size, 1), count, np.float32)
+    return Parents(**images, count=number, earlier=0 * number)
 
 
 def test_with_more_samples_the_traced_radiance_takes_over():

@@ -42,7 +42,7 @@ def twin(parents: Parents) -> Array:
     change = seen(splat) * (1 - seen(splat)) * texture
     change[(traced == splat).all(2)] = 0
     lacks = (change * (seen(traced) - seen(splat))).sum() / (change**2).sum()
-    splat = splat * np.exp(0.7 * np.clip(lacks, -1, 1) * texture)
+    splat = splat * np.exp(np.clip(lacks - 0.2, 0, 1) * texture)
     ratio = (blocks(traced, 2) + dark / 2) / (blocks(splat, 2) + dark / 2)
     for _ in range(4):
         ratio = uniform_filter(np.minimum(ratio, 100), (3, 3, 1), mode="nearest")
@@ -58,13 +58,13 @@ def twin(parents: Parents) -> Array:
         return [np.log(lacks + 1e-5), np.log(apart + 1e-5), np.clip(along / (apart + 1e-5), -3, 3)]
 
     channels = pair(splat, relit)
-    channels = [
-        np.ones_like(channels[0]),
-        *channels,
-        np.full_like(channels[0], np.log2(parents.count.mean())),
-    ]
+    even = np.ones_like(channels[0])
+    channels = [even, *channels, even * np.log2(parents.count.mean())]
     if "denoised" in given:
         channels += pair(splat, given["denoised"]) + pair(relit, given["denoised"])[1:]
+        channels.append(even * parents.earlier.mean() / parents.count.mean())
+    else:
+        channels.append(even * np.log(parents.expected))
     odds = module.ODDS if "denoised" in given else module.QUICK_ODDS
     logits = [0 * channels[0]] + [sum(o * c for o, c in zip(of, channels, strict=True)) for of in odds]
     weights = np.exp(logits) / np.exp(logits).sum(0)
@@ -75,7 +75,8 @@ def twin(parents: Parents) -> Array:
 @pytest.mark.parametrize("spp", [1, 8])
 def test_radiance_is_that_of_the_formulas(spp, quick):
     parents = example(3, spp).parents
-    parents = replace(parents, denoised=None) if quick else parents
+    parents = replace(parents, denoised=None, expected=0.002) if quick else parents
+    parents.earlier[:] = spp / 4
     # As around a disc, where nothing was traced.
     parents.traced[:20] = parents.splat[:20]
     np.testing.assert_allclose(estimate(parents), twin(parents), atol=5e-4)
@@ -122,7 +123,8 @@ def shares_of(parents: Parents) -> NDArray[np.float32]:
     dark = module.dark_of(traced, splat)
     light = module.relit(splat, smooth(module.ratio_of(traced, splat, dark)), dark)
     level = splat.mean(1, keepdim=True) + dark
-    found = module.shares(splat, light, images["denoised"], traced, images["count"], level)
+    candidates = [splat, light, images["denoised"]]
+    found = module.shares(module.evidence(candidates, images, level, parents.expected), splat)
     np.testing.assert_allclose(found.sum(1), 1, atol=1e-5)
     return found[0].permute(1, 2, 0).numpy()
 
@@ -132,6 +134,19 @@ def test_samples_with_more_noise_give_denoising_less_weight():
     signs = np.indices(given.count.shape).sum(0) % 2 * 2 - 1
     one, other = (replace(given, traced=given.denoised * (1 + noise * signs)) for noise in (0.2, 0.8))
     assert shares_of(other)[..., 2].mean() < shares_of(one)[..., 2].mean() - 0.1
+
+
+def test_the_worse_the_splats_are_expected_to_be_the_more_the_samples_count():
+    given = replace(example(5, 1).parents, denoised=None)
+    weights = [fuse(replace(given, expected=expected)).weights[..., 3].mean() for expected in (0, 1e-4, 1)]
+    assert weights == sorted(weights, reverse=True)
+    assert weights[0] > weights[2] + 0.2
+
+
+def test_denoising_samples_of_earlier_views_counts_less():
+    given = example(5, 4).parents
+    walked = replace(given, earlier=0.9 * given.count)
+    assert shares_of(walked)[..., 2].mean() < shares_of(given)[..., 2].mean()
 
 
 def test_splats_are_relit_where_light_has_changed():

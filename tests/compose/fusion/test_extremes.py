@@ -42,7 +42,7 @@ def with_firefly(parents: Parents, radiance: float, spp: int) -> Parents:
     ],
 )
 def test_a_firefly_leaves_all_other_pixels_as_they_were(radiance, got):
-    """As they are where nothing at all is known of its pixel; far away they are so to the bit."""
+    """As they are where nothing at all is known of its pixel; far away they hardly change."""
     given = example(6, 4).parents
     fused = fuse(with_firefly(given, radiance, 4))
     unknown = given.traced.copy()
@@ -53,7 +53,8 @@ def test_a_firefly_leaves_all_other_pixels_as_they_were(radiance, got):
     np.testing.assert_array_equal(fused.radiance, expected.radiance)
     far = np.ones(fused.radiance.shape[:2], dtype=bool)
     far[SPOT[0] - 24 : SPOT[0] + 24, SPOT[1] - 24 : SPOT[1] + 24] = False
-    np.testing.assert_allclose(fused.radiance[far], ordinary.radiance[far], rtol=1e-5, atol=1e-6)
+    # One number of the image says how much texture the splats lack.
+    np.testing.assert_allclose(fused.radiance[far], ordinary.radiance[far], rtol=1e-4)
     near = np.abs(fused.radiance - ordinary.radiance)
     near[SPOT] = 0
     assert got(float(near.max()), ".1e") < 0.1
@@ -76,7 +77,8 @@ def test_samples_that_are_only_bright_are_kept(radiance):
 )
 def test_uniform_radiance_of_any_size_is_kept(radiance, got):
     image, one = np.full((64, 64, 3), radiance, np.float32), np.full((64, 64, 3), 0.5, np.float32)
-    fused = fuse(Parents(image, np.zeros_like(image), image, one, 4 + 0 * one[..., :1], image))
+    none = 0 * one[..., :1]
+    fused = fuse(Parents(image, np.zeros_like(image), image, one, 4 + none, none, image))
     assert fused.excluded == 0
     assert got(float(np.abs(fused.radiance - radiance).max()), ".1e") <= 1e-3 * radiance
 

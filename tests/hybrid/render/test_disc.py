@@ -36,8 +36,10 @@ def samples(disc: Disc, count: float) -> Samples:
     triples = [rng.uniform(size=(disc.count, 3)).astype(np.float32) for _ in range(5)]
     radiance, squares, albedo, normal, position = triples
     images = (channels(arrays, of) for of in (radiance, squares + 1, albedo, normal, position))
-    counts, nothing = (dr.full(arrays.plain.Float, value, disc.count) for value in (count, 0))
-    return Samples(disc.pixels, counts, *images, nothing, nothing)
+    counts, nothing, some = (
+        dr.full(arrays.plain.Float, value, disc.count) for value in (count, 0, count / 4)
+    )
+    return Samples(disc.pixels, counts, *images, nothing, nothing, some)
 
 
 def around(disc: Disc, value: float) -> list[Any]:
@@ -110,6 +112,7 @@ def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
     np.testing.assert_array_equal(found["denoised"], radiance + albedo + normal)
     np.testing.assert_array_equal(found["albedo"], albedo)
     np.testing.assert_array_equal(found["count"], image(disc, [images.count]))
+    np.testing.assert_array_equal(of_disc(disc, found["earlier"])[:, 0], numbers(known, "earlier"))
     np.testing.assert_array_equal(of_disc(disc, found["variance"]), numbers(known, "variance"))
     # Nothing is traced outside the disc.
     assert np.isinf(found["variance"]).sum() == 3 * (np.prod(disc.shape) - disc.count)

@@ -63,6 +63,13 @@ def test_a_fused_fovea_is_made_of_its_parents_and_says_how(renderer):
     assert fovea.excluded == 0
 
 
+@pytest.mark.parametrize(("spp", "denoises"), [(1, False), (2, True)])
+def test_a_fused_fovea_is_made_without_denoising_single_samples(renderer, spp, denoises):
+    fovea = renderer.frame(settings_of(renderer, "fused", 48, 48, spp), seed=1).fovea
+    assert (fovea.denoised is not None) == denoises
+    assert (host(fovea.weights)[:, 1].max() > 0) == denoises
+
+
 def test_pixels_in_which_a_parent_is_left_out_are_counted(renderer, arrays):
     settings = settings_of(renderer, "fused", 48, 48)
     camera, region = settings.camera, settings.foveation.region(48, 48)

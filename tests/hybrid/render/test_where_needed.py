@@ -14,6 +14,8 @@ from compose.eye.detail import CELL, resolved_share
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze, eccentricity
 from compose.fovea.foveation import FoveaMode, Placement
+from compose.fusion.parents import TYPICAL_ERROR
+from hybrid.render.expected_errors import ExpectedErrors
 from hybrid.render.forest_attachments import attach_errors, errors_of
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -159,6 +161,14 @@ def test_errors_are_stored_in_a_byte_each(forest):
     damaged = replace(forest, attached={"errors.coarsest": torch.zeros(count + 1, dtype=torch.uint8)})
     with pytest.raises(UserError, match="expected errors are damaged"):
         errors_of(damaged)
+
+
+def test_the_typical_error_is_the_geometric_mean(forest, arrays):
+    assert ExpectedErrors(arrays, forest).typical == TYPICAL_ERROR
+    known = attach_errors(forest, torch.logspace(-6, -2, forest.counts[0]))
+    assert ExpectedErrors(arrays, known).typical == pytest.approx(1e-4, rel=0.05)
+    perfect = attach_errors(forest, torch.zeros(forest.counts[0]))
+    assert 0 < ExpectedErrors(arrays, perfect).typical < 1e-8
 
 
 def test_an_unknown_placement_is_refused():
