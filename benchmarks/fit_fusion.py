@@ -35,7 +35,7 @@ from pathtrace.scene.backend import select_backend
 from pathtrace.trace.traced_images import denoise
 
 _SIZES, _GAZES = ((480, 360), (320, 240)), ((0.5, 0.5), (0.35, 0.6), (0.65, 0.45))
-_COUNTS = {"fresh": (1, 2, 4, 8, 16, 32), "walk": (1, 2, 4), "still": (1, 2, 4)}
+_COUNTS = {"fresh": (1, 2, 4, 8, 16, 32, 64), "walk": (1, 2, 4), "still": (1, 2, 4)}
 # Frames before the last one, and degrees that the camera turns between two of them.
 _FRAMES, _TURN = 6, 0.6
 # Of each half of a reference, in passes of so many samples per pixel; and the seed of the first one.
@@ -147,7 +147,8 @@ def _fovea(
 ) -> Fovea:
     parents = _last_of(kind, settings, fresh)
     images = {name: _cropped(as_batch(image)) for name, image in parents.images().items()}
-    parents = replace(parents, **{name: image[0].permute(1, 2, 0) for name, image in images.items()})
+    cropped: dict[str, Any] = {name: image[0].permute(1, 2, 0) for name, image in images.items()}
+    parents = replace(parents, **cropped)
     whole = _blocks(truth[2])[0, 0] > 1 - 1e-6
     candidates, seen, made = [], [], []
     for of in (replace(parents, denoised=None), parents):

@@ -73,7 +73,7 @@ class Passed:
 
 
 class Frozen(Generic[_Result]):
-    """`dr.freeze` without three faults of Dr.Jit 1.5.
+    """`dr.freeze` without four faults of Dr.Jit 1.5.
 
     - Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python
       code, in which another thread may get its turn; if that one frees an array, both wait for ever. So
@@ -81,6 +81,7 @@ class Frozen(Generic[_Result]):
     - A garbage collection that frees a Mitsuba scene during a recording aborts the process: it is paused.
     - Of a number or string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was
       replayed for (True, False, False). So there is a hash of them all.
+    - Ctrl-C while it walks through arguments and results becomes a RuntimeError: it is raised again.
 
     What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
     it writes to must be made inside it: others are copied.
@@ -105,7 +106,16 @@ class Frozen(Generic[_Result]):
     def replayed(self, arguments: tuple[object, ...]) -> _Result:
         """The result; the collector is paused."""
         flat = _flattened(arguments)
-        return cast("_Result", _rebuilt(self._recorded(flat, hash(_key(flat, self._by_size)))))
+        try:
+            found = self._recorded(flat, hash(_key(flat, self._by_size)))
+        except RuntimeError as error:
+            cause: BaseException | None = error
+            while isinstance(cause, RuntimeError):
+                cause = cause.__cause__
+            if isinstance(cause, KeyboardInterrupt):
+                raise cause from None
+            raise
+        return cast("_Result", _rebuilt(found))
 
     def _plain(self, arguments: object, key: int) -> object:
         """The function from flattened arguments to a flattened result; frozen."""

@@ -50,7 +50,7 @@ class Samples:
         """Pixels about which nothing is known."""
         nothing = dr.zeros(arrays.plain.Float, dr.width(pixels))
         triple = [nothing] * 3
-        return Samples(pixels, nothing, *[triple] * 5, *[nothing] * 3)
+        return Samples(pixels, nothing, triple, triple, triple, triple, triple, nothing, nothing, nothing)
 
     @property
     def size(self) -> int:

@@ -85,7 +85,9 @@ class Fusion:
         """Radiance (1, 3, H, W), and the weights in it of all PARENTS but the first."""
         found = self.candidates(smooth)
         weights = shares(self.evidence(found), found[0])
-        radiance = sum(weights[:, n : n + 1] * image for n, image in enumerate(found))
+        radiance = torch.zeros_like(found[0])
+        for number, image in enumerate(found):
+            radiance += weights[:, number : number + 1] * image
         if len(found) < len(PARENTS) - 1:
             weights = torch.cat([weights, torch.zeros_like(weights[:, :1])], 1)
         return radiance, weights.flip(1)

@@ -22,10 +22,10 @@ from compose.fusion.parents import box_mean, enlarged, halved
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
 ODDS = (
-    (-0.905, -0.310, 0.047, 0.181, 0.323, -0.130, 0.206, 0.398, 0.187, -0.504, 1.009),  # relit splats
-    (1.517, 0.014, 0.726, 0.024, 0.541, -0.488, 0.230, 1.447, -0.131, 0.099, -0.515),  # denoised samples
+    (-1.329, -0.343, -0.040, 0.282, -0.215, 0.157, 0.111, 0.269, -0.286, 1.400),  # relit splats
+    (2.980, -0.134, 0.688, 0.058, -0.533, 0.208, 0.586, 0.035, 0.329, -0.337),  # denoised samples
 )
-QUICK_ODDS = ((6.461, -0.737, 0.349, 0.583, 0.152, 0.951),)
+QUICK_ODDS = ((6.615, -0.827, 0.417, 0.580, 0.920),)
 _FURTHEST, _MOST_SAMPLES = 3.0, 64.0
 # Within which the expected error of splats counts.
 _LEAST, _MOST = 1e-5, 1e-2
@@ -96,15 +96,15 @@ def shares(seen: Tensor, like: Tensor) -> Tensor:
 def evidence(
     candidates: Sequence[Tensor], images: Mapping[str, Tensor], level: Tensor, expected: float
 ) -> Tensor:
-    """What the odds of an estimate against the splats depend on, (N, 6 or 11, H / 4, W / 4).
+    """What the odds of an estimate against the splats depend on, (N, 5 or 10, H / 4, W / 4).
 
     Candidates are splats, relit splats and, if there are any, denoised samples; images and what is expected
     are those of Parents. The channels are 1; the logarithms of what relit splats lack of the samples and of
-    how far they are from the splats, both squared; how far the samples lie on the way from the splats to
-    them; and the doublings of the sample count. Then, the logarithm of what is expected; or with denoised
-    samples, the three of these, how far these are from relit splats, and the samples on the way there, and
-    the share of samples of earlier views: denoising takes what they have in common for what there is. What is
-    seen is the mean over about 12 x 12 pixels.
+    how far they are from the splats, both squared; and how far the samples lie on the way from the splats to
+    them. Then, the logarithm of what is expected; or with denoised samples, the three of these, the last one
+    from halfway and times the doublings of the sample count, with which it is known better; how far these are
+    from relit splats, and the samples on the way there; and the share of samples of earlier views: denoising
+    takes what these have in common for what there is. What is seen is the mean over about 12 x 12 pixels.
     """
     samples, first, second, *third = (_seen(image, level) for image in (images["traced"], *candidates))
     products = _products(samples, first, second)
@@ -112,10 +112,11 @@ def evidence(
         products += _products(samples, first, denoised) + _products(samples, second, denoised)[1:]
     maps = [*(part.mean(1, keepdim=True) for part in products), images["count"], images["earlier"]]
     *means, number, earlier = box_mean(halved(halved(torch.cat(maps, 1)))).split(1, 1)
-    doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
-    channels = [torch.ones_like(number), torch.log(means[0] + _SAME), *_way(*means[1:3]), doublings]
+    channels = [torch.ones_like(number), torch.log(means[0] + _SAME), *_way(*means[1:3])]
     if third:
-        channels += [torch.log(means[3] + _SAME), *_way(*means[4:6]), *_way(*means[6:8])]
+        apart, along = _way(*means[4:6])
+        doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
+        channels += [torch.log(means[3] + _SAME), apart, (along - 0.5) * doublings, *_way(*means[6:8])]
         channels.append((earlier / number.clamp(min=1)).clamp(max=1))
     else:
         channels.append(torch.full_like(number, log(min(max(expected, _LEAST), _MOST))))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -42,6 +42,18 @@ def test_arguments_of_other_widths_are_recorded_anew(arrays):
         np.testing.assert_array_equal(found.one.numpy(), rows[0][::-1])
         np.testing.assert_array_equal(found.other.numpy(), rows[1][::-1])
     assert calls == [5, 5, 8]
+
+
+def test_ctrl_c_while_arguments_are_read_stays_what_it_is(arrays):
+    class Interrupting:
+        DRJIT_STRUCT: ClassVar = {"values": arrays.plain.Float}
+
+        @property
+        def values(self) -> None:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Frozen(lambda given, values: values + 1)(Interrupting(), arrays.plain.Float(1))
 
 
 def test_plain_values_that_repeat_earlier_ones_tell_recordings_apart(arrays):

@@ -59,9 +59,11 @@ def twin(parents: Parents) -> Array:
 
     channels = pair(splat, relit)
     even = np.ones_like(channels[0])
-    channels = [even, *channels, even * np.log2(parents.count.mean())]
+    channels = [even, *channels]
     if "denoised" in given:
-        channels += pair(splat, given["denoised"]) + pair(relit, given["denoised"])[1:]
+        lacks, apart, along = pair(splat, given["denoised"])
+        along = (along - 0.5) * np.log2(parents.count.mean())
+        channels += [lacks, apart, along, *pair(relit, given["denoised"])[1:]]
         channels.append(even * parents.earlier.mean() / parents.count.mean())
     else:
         channels.append(even * np.log(parents.expected))
@@ -99,7 +101,8 @@ def test_black_images_stay_black():
 
 
 @pytest.mark.parametrize("quick", [False, True])
-@pytest.mark.parametrize(("spp", "worse"), [(1, 0.05), (4, 0.05), (16, 0.05), (64, 0.5)])
+# With many samples, denoised ones alone would be better here, where the splats are wrong by 16 dB more.
+@pytest.mark.parametrize(("spp", "worse"), [(1, -3), (4, -2), (16, -0.5), (64, 2)])
 def test_the_result_is_hardly_worse_than_its_better_parent(spp, worse, quick):
     given = example(8, spp)
     parents = replace(given.parents, denoised=None) if quick else given.parents
