@@ -41,8 +41,9 @@ _FRAMES, _TURN = 6, 0.6
 # Of each half of a reference, in passes of so many samples per pixel; and the seed of the first one.
 _PASSES, _SPP, _SEED = 3, 128, 9000
 # Squared errors below this, of square roots of radiance, are not seen; the share of the better estimate's
-# error below which less of it counts no more; and the penalty on squared odds.
-_INVISIBLE, _LEAST, _PENALTY = 1e-5, 0.1, 1e-3
+# error below which less of it counts no more; by how much more of it counts what is worse than splats alone,
+# which a frame in a hurry could show as well; and the penalty on squared odds.
+_INVISIBLE, _LEAST, _WORSE, _PENALTY = 1e-5, 0.1, 3.0, 1e-3
 _STEPS, _RATE, _BLOCK = 300, 0.1, 4
 # Of the blocks, those that are fitted to.
 _EVERY = 4
@@ -227,6 +228,8 @@ class Examples:
                 optimizer.param_groups[0]["lr"] = _RATE / 5
             share = (scaled.errors(odds) / self.better).clamp(min=0)
             loss = torch.log(_LEAST + share).mean() + _PENALTY * (odds**2).sum()
+            if len(odds) == 1:
+                loss = loss + _WORSE * torch.relu(share - 1).mean()
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()

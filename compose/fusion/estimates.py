@@ -22,10 +22,10 @@ from compose.fusion.parents import box_mean, enlarged, halved
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
 ODDS = (
-    (-1.329, -0.343, -0.040, 0.282, -0.215, 0.157, 0.111, 0.269, -0.286, 1.400),  # relit splats
-    (2.980, -0.134, 0.688, 0.058, -0.533, 0.208, 0.586, 0.035, 0.329, -0.337),  # denoised samples
+    (-1.416, -0.325, -0.086, 0.332, -0.216, 0.172, 0.095, 0.281, -0.384, 1.286),  # relit splats
+    (3.069, -0.123, 0.675, 0.115, -0.522, 0.210, 0.605, 0.057, 0.363, -0.274),  # denoised samples
 )
-QUICK_ODDS = ((6.615, -0.827, 0.417, 0.580, 0.920),)
+QUICK_ODDS = ((5.065, -1.061, 0.582, 0.899, 0.849),)
 _FURTHEST, _MOST_SAMPLES = 3.0, 64.0
 # Within which the expected error of splats counts.
 _LEAST, _MOST = 1e-5, 1e-2
@@ -35,7 +35,7 @@ _SAME, _DARK = 1e-5, 0.1
 _BLACK = 0.03
 # Share of its texture that the splats seem to lack where they lack none: samples share their noise with the
 # albedo.
-_SHARED = 0.2
+_SHARED = 0.25
 # Of what counts as dark, added to radiance before it is divided; and the largest quotient.
 _OFFSET, _MOST_RATIO = 0.5, 100.0
 

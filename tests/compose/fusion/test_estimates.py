@@ -42,7 +42,7 @@ def twin(parents: Parents) -> Array:
     change = seen(splat) * (1 - seen(splat)) * texture
     change[(traced == splat).all(2)] = 0
     lacks = (change * (seen(traced) - seen(splat))).sum() / (change**2).sum()
-    splat = splat * np.exp(np.clip(lacks - 0.2, 0, 1) * texture)
+    splat = splat * np.exp(np.clip(lacks - 0.25, 0, 1) * texture)
     ratio = (blocks(traced, 2) + dark / 2) / (blocks(splat, 2) + dark / 2)
     for _ in range(4):
         ratio = uniform_filter(np.minimum(ratio, 100), (3, 3, 1), mode="nearest")
