@@ -28,7 +28,7 @@ from compose.fovea.disc import Disc
 from compose.fusion.combination import Fusion
 from compose.fusion.parents import Parents, as_batch
 from hybrid.render.disc_images import parents_of, smooth
-from hybrid.render.fovea import DENOISED_FROM
+from hybrid.render.fovea import worth_denoising
 from hybrid.render.frame_renderer import Renderer
 from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.backend import select_backend
@@ -55,7 +55,7 @@ class Fovea:
 
     Attributes:
         scene, kind, spp: of its samples.
-        denoises: whether there are so many that the product denoises them.
+        denoises: whether the product denoises them.
         estimates: splats as they are, those that are mixed, relit ones, denoised samples; then what the
             product makes of them without denoised samples, and with them.
         seen: what the odds depend on without denoised samples and with them, (C, B) of blocks in the disc.
@@ -158,7 +158,7 @@ def _fovea(
         candidates = fusion.candidates(ratio)
         seen.append(fusion.evidence(candidates)[0][:, whole])
         made.append(as_batch(fusion.fused(ratio).radiance))
-    denoises = float(images["count"].mean()) >= DENOISED_FROM
+    denoises = worth_denoising(float(images["count"].mean()), parents.expected)
     estimates = [images["splat"], *candidates, made[0], made[denoises]]
     return Fovea(scene, kind, settings.spp, denoises, estimates, (seen[0], seen[1]), *truth)
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from drjit.auto.ad import Float
 
 
-# Samples per pixel from which denoising them makes a fused fovea better: by 0.3 dB with two (mean over twelve
-# scenes), but not with one.
-DENOISED_FROM = 2
+# Samples per pixel from which denoising them makes a fused fovea better, by 0.3 dB with two (mean over twelve
+# scenes); and the expected error of splats from which it does so with single ones, by 0.1 to 2 dB.
+_DENOISED_FROM, _DENOISED_OVER = 2, 5e-4
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Fovea:
         """Makes the fovea from the samples of the disc's pixels, in less time if `quick`.
 
         Then a denoised one is made by the quicker denoiser, and a fused one without denoised samples, as
-        always where there are fewer than two per pixel. A denoised fovea requires the surroundings, radiance
+        always where that is not worth its time. A denoised fovea requires the surroundings, radiance
         that fills the disc's image where it has no samples; a fused one requires the underlay, the splats
         under the disc, in the same view. ValueError if they are missing.
         """
@@ -116,10 +116,19 @@ class Fovea:
             return FoveaImage(disc, denoised, samples, denoised)
         if underlay is None:
             raise ValueError("a fused fovea requires the splats under the disc")
-        parents = parents_of(disc, samples, underlay, quick or samples.mean_count() < DENOISED_FROM)
+        quick = quick or not worth_denoising(samples.mean_count(), underlay.expected)
+        parents = parents_of(disc, samples, underlay, quick)
         with torch_working_on(disc.shape[0] * disc.shape[1]):
             fusion = Fusion(parents)
             fused = fusion.fused(smooth(fusion.ratio))
         shown = [fused.radiance, fused.weights, parents.denoised]
         made = channels_of(disc, [image for image in shown if image is not None], disc.inside)
         return FoveaImage(disc, made[0], samples, made[2] if len(made) > 2 else None, made[1], fused.excluded)
+
+
+def worth_denoising(spp: float, expected: float) -> bool:
+    """Whether a fused fovea is better with denoised samples, so many per pixel, than with splats alone.
+
+    What is expected is the splats' error, as in Parents.
+    """
+    return spp >= _DENOISED_FROM or expected > _DENOISED_OVER

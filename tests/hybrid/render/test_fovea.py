@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from compose.eye.gaze import Gaze
 from compose.fovea.disc import thinned
 from compose.fovea.foveation import FoveaMode, Foveation
 from compose.image.colour import srgb_from_radiance
+from hybrid.render.forest_attachments import attach_errors
 from hybrid.render.fovea import Fovea
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -63,8 +65,10 @@ def test_a_fused_fovea_is_made_of_its_parents_and_says_how(renderer):
     assert fovea.excluded == 0
 
 
-@pytest.mark.parametrize(("spp", "denoises"), [(1, False), (2, True)])
-def test_a_fused_fovea_is_made_without_denoising_single_samples(renderer, spp, denoises):
+@pytest.mark.parametrize(("spp", "error", "denoises"), [(1, 1e-4, False), (2, 1e-4, True), (1, 1e-3, True)])
+def test_single_samples_are_denoised_where_the_splats_are_poor(scene, forest, spp, error, denoises):
+    expecting = attach_errors(forest, torch.full((forest.counts[0],), error))
+    renderer = Renderer(scene, expecting)
     fovea = renderer.frame(settings_of(renderer, "fused", 48, 48, spp), seed=1).fovea
     assert (fovea.denoised is not None) == denoises
     assert (host(fovea.weights)[:, 1].max() > 0) == denoises
