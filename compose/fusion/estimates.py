@@ -110,16 +110,20 @@ def evidence(
     products = _products(samples, first, second)
     for denoised in third:
         products += _products(samples, first, denoised) + _products(samples, second, denoised)[1:]
-    maps = [*(part.mean(1, keepdim=True) for part in products), images["count"], images["earlier"]]
-    *means, number, earlier = box_mean(halved(halved(torch.cat(maps, 1)))).split(1, 1)
-    channels = [torch.ones_like(number), torch.log(means[0] + _SAME), *_way(*means[1:3])]
+    maps = [part.mean(1, keepdim=True) for part in products]
     if third:
+        maps += [images["count"], images["earlier"]]
+    means = box_mean(halved(halved(torch.cat(maps, 1)))).split(1, 1)
+    even = torch.ones_like(means[0])
+    channels = [even, torch.log(means[0] + _SAME), *_way(*means[1:3])]
+    if third:
+        number, earlier = means[-2:]
         apart, along = _way(*means[4:6])
         doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
         channels += [torch.log(means[3] + _SAME), apart, (along - 0.5) * doublings, *_way(*means[6:8])]
         channels.append((earlier / number.clamp(min=1)).clamp(max=1))
     else:
-        channels.append(torch.full_like(number, log(min(max(expected, _LEAST), _MOST))))
+        channels.append(even * log(min(max(expected, _LEAST), _MOST)))
     return torch.cat(channels, 1)
 
 

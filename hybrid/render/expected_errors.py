@@ -51,9 +51,13 @@ class ExpectedErrors:
         self._kept: tuple[Camera, float, NDArray[np.float32]] | None = None
 
     @cached_property
+    def _of_nodes(self) -> torch.Tensor | None:
+        return errors_of(self._forest)
+
+    @cached_property
     def are_known(self) -> bool:
         """Whether the forest has any; if not, that is logged."""
-        if errors_of(self._forest) is not None:
+        if self._of_nodes is not None:
             return True
         _LOG.warning(
             "paths are traced in the disc: this forest does not say where it is wrong; it was imported, or "
@@ -64,14 +68,14 @@ class ExpectedErrors:
     @cached_property
     def typical(self) -> float:
         """The geometric mean over the nodes; TYPICAL_ERROR if none are known."""
-        errors = errors_of(self._forest)
+        errors = self._of_nodes
         if errors is None or not len(errors):
             return TYPICAL_ERROR
         return float(torch.log(errors.clamp(min=_LEAST)).mean().exp())
 
     @cached_property
     def _renderer(self) -> ForestRenderer:
-        errors = errors_of(self._forest)
+        errors = self._of_nodes
         assert errors is not None, "errors are known"
         return ForestRenderer(self._arrays, self._forest.coarsest_alone(harmonics_of(errors)))
 

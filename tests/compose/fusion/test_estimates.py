@@ -100,10 +100,16 @@ def test_black_images_stay_black():
     assert (estimate(replace(parents, **black)) == 0).all()
 
 
-@pytest.mark.parametrize("quick", [False, True])
-# With many samples, denoised ones alone would be better here, where the splats are wrong by 16 dB more.
-@pytest.mark.parametrize(("spp", "worse"), [(1, -3), (4, -2), (16, -0.5), (64, 2)])
-def test_the_result_is_hardly_worse_than_its_better_parent(spp, worse, quick):
+@pytest.mark.parametrize(
+    ("quick", "spp", "worse"),
+    [
+        *[(True, spp, -4) for spp in (1, 4, 16, 64)],
+        *[(False, 1, -4), (False, 4, -3), (False, 16, -0.5)],
+        # Denoised samples alone would be better here, where the splats are wrong by 16 dB more.
+        (False, 64, 1.9),
+    ],
+)
+def test_the_result_is_hardly_worse_than_its_better_parent(quick, spp, worse):
     given = example(8, spp)
     parents = replace(given.parents, denoised=None) if quick else given.parents
     names = ("splat",) if quick else ("splat", "denoised")
