@@ -178,7 +178,8 @@ def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, monk
     settings = replace(DRAFT, held_out=0, minutes=0.01)
     free = prepare(scene, settings, no_bars, tmp_path / "free")
     assert free.facts["splat"] == {}  # without held-out views, nothing is judged
-    assert [set(row) for row in free.facts["curve"]] == [{"seconds", "gaussians"}]
+    # A quick machine has time for a further stage.
+    assert {frozenset(row) for row in free.facts["curve"]} == {frozenset({"seconds", "gaussians"})}
     bounded = prepare(scene, replace(settings, most_indirect=1e-6), no_bars, tmp_path / "bounded")
     assert free.facts["clamping_bias"] is None
     assert 0 < got(bounded.facts["clamping_bias"]) < 1
