@@ -68,7 +68,8 @@ class AnySize:
 class Passed:
     """An argument that says what stands for it in a recording."""
 
-    flat: tuple[Any, ...]  # its type and itself, and values for Dr.Jit
+    # Its type, itself, a string by which recordings differ, and arrays; of any width.
+    flat: tuple[Any, ...]
     value: Any  # what the function gets
 
 
@@ -150,8 +151,11 @@ def _rebuilt(value: object) -> object:
 def _key(value: object, by_size: bool) -> Hashable:
     """Values in what was flattened and, if recordings differ by them, widths of all arrays."""
     if type(value) is tuple:
-        by_size = by_size and not (value and value[0] is AnySize)
-        return tuple([_key(part, by_size) for part in value])
+        kind, *parts = value
+        if issubclass(kind, Passed):
+            return parts[1]
+        by_size = by_size and kind is not AnySize
+        return kind, *[_key(part, by_size) for part in parts]
     if type(value) is dict:
         return tuple([_key(part, False) for part in value.values()])
     if isinstance(value, dr.ArrayBase):

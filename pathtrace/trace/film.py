@@ -12,8 +12,9 @@ from typing import Any, TypeAlias, TypeVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import torch
 from numpy.typing import NDArray
-from scipy.stats import qmc
+from torch.quasirandom import SobolEngine
 
 from compose.base.arrays import constant, uploaded
 from compose.base.traced_samples import Counts
@@ -129,7 +130,8 @@ def sobol_tables() -> list[Any]:
 
 @cache
 def _tables(variant: str) -> list[Any]:
-    points = qmc.Sobol(2 * _PAIRS, scramble=False, bits=32).random_base2(_LOG2_LENGTH)
+    # SciPy's are the same, and take a third of a second to import.
+    points = SobolEngine(2 * _PAIRS).draw(1 << _LOG2_LENGTH, dtype=torch.float64).numpy()
     return [mi.UInt32(column) for column in np.ascontiguousarray((points.T * 2.0**32).astype(np.uint32))]
 
 
