@@ -232,7 +232,8 @@ def _direct(  # noqa: PLR0913 (the state of a symbolic loop)
         share = mi.Float(count) * light.pdf
         share = dr.select(light.delta, 1, share / (share + scatter_pdf))
         cached = irradiance_share(flags, hit.wi, hit.to_local(light.d), scatter_pdf)
-        share *= dr.select(known, 1 - cached, 1)
-        direct += reflectance * share * lights.arriving(hit, light, emitted, seen & (share > 0))
+        # Seen from the sphere that it is, a lamp has neither density nor direction.
+        share = dr.select(seen, share * dr.select(known, 1 - cached, 1), 0)
+        direct += reflectance * share * lights.arriving(hit, light, emitted, share > 0)
         number += 1
     return direct / mi.Float(count)

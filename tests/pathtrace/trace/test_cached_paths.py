@@ -140,6 +140,17 @@ def test_a_furnace_stays_at_its_radiance(reflectance):
     assert radiance.mean() == pytest.approx(1 - reflectance**6, rel=0.01)
 
 
+@pytest.mark.parametrize("shadow_rays", [1, 2])
+def test_a_glowing_sphere_is_as_bright_as_its_light(shadow_rays):
+    """Light that is sampled on a sphere from a point of it may have no direction."""
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}
+    ball = {"type": "sphere", "radius": 0.5, "emitter": glow, "bsdf": {"type": "diffuse"}}
+    scene = load_scene({"type": "scene", "sensor": small.sensor(), "ball": ball})
+    camera = scene.camera.cropped(13, 13, 6, 6)
+    found = samples(scene, PathSettings(4, 5, shadow_rays), IrradianceCache.empty(1), 4096, camera)
+    assert found == pytest.approx(3.0)
+
+
 def test_more_shadow_rays_mean_less_noise():
     scene = load_scene(room({"diffuse": MATERIALS["diffuse"]}))
     empty = IrradianceCache.empty(3)
