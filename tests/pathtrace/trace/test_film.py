@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from compose.base.arrays import uploaded
 from compose.base.traced_samples import Counts
 from compose.camera.camera import camera_from_pose, look_at
 from pathtrace.trace.film import (
@@ -110,7 +111,7 @@ COUNT = 500
 
 def counts_of(each) -> Counts:
     """Numbers of samples that differ from position to position."""
-    return Counts.of(mi.UInt32(np.asarray(each, dtype=np.uint32)), int(np.max(each)))
+    return Counts.of(uploaded(mi.UInt32, np.asarray(each, dtype=np.uint32)), int(np.max(each)))
 
 
 def row_of_boxes(row: float = 7) -> FilmPositions:
