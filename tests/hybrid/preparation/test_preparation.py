@@ -78,7 +78,7 @@ def test_gaussians_are_as_planned(scene, tmp_path, monkeypatch, region, least, m
     few = tuple(replace(stage, views=1, spp=2, steps=5) for stage in STAGES)
     monkeypatch.setattr(stages, "STAGES", few)
     plan = {GAUSSIANS: FIXED_GAUSSIANS // 2, SAMPLES: 64, REGION: "near"}
-    settings = replace(DRAFT, region=region)
+    settings = replace(DRAFT, region=region, held_out=0)
     prepared = prepare(replace(scene, plan=plan), settings, no_bars, tmp_path)
     found = plan_of_forest(prepared.forest)
     assert least <= found[GAUSSIANS] <= most
