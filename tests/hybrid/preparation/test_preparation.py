@@ -173,13 +173,12 @@ def test_settings_out_of_range_are_refused(given, message):
     given="hybrid prepare --clamp-indirect 1e-6",
     expected="a forest, and the share of the radiance that is missing in its frames",
 )
-def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, monkeypatch, got):
-    monkeypatch.setattr(planner, "_MOST_STAGES", 1)
-    settings = replace(DRAFT, held_out=0, minutes=0.01)
+def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, got):
+    # No time is left for a further stage, however quick the machine is.
+    settings = replace(DRAFT, held_out=0, minutes=1e-6)
     free = prepare(scene, settings, no_bars, tmp_path / "free")
     assert free.facts["splat"] == {}  # without held-out views, nothing is judged
-    # A quick machine has time for a further stage.
-    assert {frozenset(row) for row in free.facts["curve"]} == {frozenset({"seconds", "gaussians"})}
+    assert [set(row) for row in free.facts["curve"]] == [{"seconds", "gaussians"}]
     bounded = prepare(scene, replace(settings, most_indirect=1e-6), no_bars, tmp_path / "bounded")
     assert free.facts["clamping_bias"] is None
     assert 0 < got(bounded.facts["clamping_bias"]) < 1
