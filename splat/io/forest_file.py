@@ -36,7 +36,7 @@ from splat.model.motion import Dynamics, LearnedMotion, NodeMotion
 from splat.model.trees import LABELS, Layer, check_forest
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
-_HIERARCHY, _CHILDREN = "hierarchy.", "children"
+_HIERARCHY, _CHILDREN, _CONTRAST = "hierarchy.", "children", "contrast"
 # In the metadata of compact files: type and shape of each packed tensor.
 _PACKED = "packed"
 _BLENDING = "blending"
@@ -73,6 +73,8 @@ def save_forest(path: str | Path, forest: Forest) -> None:
     if forest.hierarchy is not None:
         inner = {} if forest.hierarchy.inner is None else _of_gaussians(forest.hierarchy.inner)
         named = {_CHILDREN: forest.hierarchy.children} | inner
+        if forest.hierarchy.contrast is not None:
+            named[_CONTRAST] = forest.hierarchy.contrast
         tensors |= {_HIERARCHY + name: tensor.detach().cpu() for name, tensor in named.items()}
     codes = exactly_encoded(forest)
     if codes is not None:
@@ -171,10 +173,15 @@ def _hierarchy(tensors: dict[str, torch.Tensor], leaves: int, blending: Blending
     children = found.pop(_CHILDREN)
     if children.dtype != torch.int32 or children.ndim != 2 or children.shape[1] != 2:
         raise ValueError("a hierarchy that is not pairs of int32 numbers")
+    contrast = found.pop(_CONTRAST, None)
+    if contrast is not None and not (
+        contrast.dtype == torch.float32 and bool((torch.isfinite(contrast) & (contrast > 0)).all())
+    ):
+        raise ValueError("a hierarchy of contrasts that are not positive numbers of float32")
     inner = replace(_gaussians(found), blending=blending) if found else None
     if inner is not None and not inner.is_finite():
         raise ValueError("a hierarchy of numbers that are not finite")
-    hierarchy = Hierarchy(children, inner)
+    hierarchy = Hierarchy(children, inner, contrast)
     hierarchy.parents(leaves)
     return hierarchy
 

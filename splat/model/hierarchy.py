@@ -28,6 +28,8 @@ _FARTHEST = 2.0
 _COLOUR = 0.6
 # Points are moved apart by up to this share of a round's size, each by another multiple of the golden ratio.
 _APART, _GOLDEN = 1e-3, 0.6180339887498949
+# Contrast of nodes whose sizes are their extents.
+USUAL_CONTRAST = 0.1
 # A parent is larger than its children by at least this factor, so that cuts are well defined.
 _LARGER = 1.1
 
@@ -36,19 +38,26 @@ _LARGER = 1.1
 class Hierarchy:
     """Which nodes are joined: N leaves come first, then M inner nodes, children before their parents.
 
-    ValueError if there are inner nodes, but not M.
+    ValueError if there are inner nodes or contrasts, but not M.
 
     Attributes:
         children: (M, 2) int32, indices among all N + M nodes, the larger child first.
         inner: M inner nodes that were fitted; None if they have the moments of their children.
+        contrast: (M,) positive, how much it shows that an inner node is drawn in place of the leaves below
+            it: where its extent is so many pixels, the root of the sum of squared errors of sRGB values, over
+            these. None if that was not measured.
     """
 
     children: torch.Tensor
     inner: Gaussians | None = None
+    contrast: torch.Tensor | None = None
 
     def __post_init__(self) -> None:
         if self.inner is not None and len(self.inner) != len(self.children):
             raise ValueError(f"a hierarchy of {len(self.children)} pairs and {len(self.inner)} inner nodes")
+        if self.contrast is not None and self.contrast.shape != (len(self.children),):
+            shape = tuple(self.contrast.shape)
+            raise ValueError(f"a hierarchy of {len(self.children)} pairs and contrasts of shape {shape}")
 
     def __len__(self) -> int:
         return len(self.children)
@@ -73,8 +82,9 @@ class Hierarchy:
         """All nodes, of the leaves that the hierarchy was built over."""
         children, count = self.children.numpy().astype(np.int64), len(leaves)
         parent = self.parents(count)
-        size = np.concatenate([leaves.longest.numpy().astype(np.float64), np.zeros(len(children))])
-        radius, nodes = np.zeros(len(size)), leaves
+        contrast = self._contrasts(parent)
+        extent = np.concatenate([leaves.longest.numpy().astype(np.float64), np.zeros(len(children))])
+        size, radius, nodes = extent * contrast, np.zeros(len(extent)), leaves
         highest, end = children.max(axis=1) if len(children) else children[:, 0], 0
         while end < len(children):
             # As many as have all children before them.
@@ -85,15 +95,26 @@ class Hierarchy:
                 merged = merge(*(nodes.select(torch.from_numpy(side)) for side in pairs.T))
             else:
                 merged = self.inner.part(start, end)
-            size[count + start : count + end] = _size(merged, size[pairs])
+            new = slice(count + start, count + end)
+            extent[new] = merged.longest.numpy()
+            size[new] = np.maximum(contrast[new] * extent[new], _LARGER * size[pairs].max(axis=1))
             away = rows_of(merged.means) - rows_of(nodes.means[:, torch.from_numpy(pairs)])  # (2, P, 3)
             reach = np.linalg.norm(away, axis=2).T + radius[pairs]
-            radius[count + start : count + end] = reach.max(axis=1)
+            radius[new] = reach.max(axis=1)
             nodes = concatenated([nodes, merged])
         is_heir = np.ones(len(size), dtype=bool)
         is_heir[children[:, 1]] = False
-        bounds = (np.float32(size), np.float32(radius))
+        bounds = map(np.float32, (size, extent, radius))
         return HierarchyNodes(nodes, parent.astype(np.int32), is_heir, *bounds, count)
+
+    def _contrasts(self, parent: Ints) -> Floats:
+        """(N + M,) of all nodes, in parts of the usual one; leaves have that of the node above them."""
+        if self.contrast is None:
+            return np.ones(len(parent))
+        leaves, inner = len(parent) - len(self), self.contrast.numpy().astype(np.float64) / USUAL_CONTRAST
+        above = parent[:leaves] - leaves
+        of_leaves = np.where(above < 0, 1.0, np.append(inner, 1.0)[above])
+        return np.concatenate([of_leaves, inner])
 
 
 @dataclass(frozen=True)
@@ -103,7 +124,8 @@ class HierarchyNodes:
     gaussians: Gaussians  # N + M
     parent: NDArray[np.int32]  # (N + M,) -1 for roots
     is_heir: Bits  # (N + M,) whether it is the larger child, or a root
-    size: NDArray[np.float32]  # (N + M,) standard deviation along the longest axis; parents' are larger
+    size: NDArray[np.float32]  # (N + M,) extent, by contrast, which levels limit; parents' are larger
+    extent: NDArray[np.float32]  # (N + M,) standard deviation along the longest axis
     radius: NDArray[np.float32]  # (N + M,) within which of its centre all centres below a node lie
     leaves: int  # N
 
@@ -253,14 +275,16 @@ class CutTree:
     Attributes:
         leaves, inner: N and M.
         roots: how many nodes have no parent.
+        above: (N + M,) of each node the inner node above it, M for roots.
+        by_depth: inner nodes, from the roots down.
     """
 
     def __init__(self, parent: NDArray[np.int32], leaves: int):
         self.leaves, self.inner = leaves, len(parent) - leaves
         self.roots = int(np.count_nonzero(parent < 0))
-        # Of each node the inner node above it; roots lie below one more, which is always split.
-        self._above = np.where(parent < 0, self.inner, parent.astype(np.int64) - leaves)
-        above = self._above[leaves:]
+        # Roots lie below one more, which is always split.
+        self.above = np.where(parent < 0, self.inner, parent.astype(np.int64) - leaves)
+        above = self.above[leaves:]
         depth = np.zeros(self.inner, dtype=np.int64)
         # Children come before their parents.
         deeper = np.flatnonzero(above < self.inner)
@@ -269,13 +293,13 @@ class CutTree:
             deeper = deeper[found != depth[deeper]]
             depth[deeper] = depth[above[deeper]] + 1
         order = np.argsort(depth, kind="stable")
-        self._by_depth: list[Ints] = np.split(order, np.flatnonzero(np.diff(depth[order])) + 1)
+        self.by_depth: list[Ints] = np.split(order, np.flatnonzero(np.diff(depth[order])) + 1)
 
     def falling(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Of M values of inner nodes the least at each node and those above it."""
         found = np.append(values, np.float32(np.inf))
-        for nodes in self._by_depth:
-            found[nodes] = np.minimum(found[nodes], found[self._above[self.leaves + nodes]])
+        for nodes in self.by_depth:
+            found[nodes] = np.minimum(found[nodes], found[self.above[self.leaves + nodes]])
         return found[:-1]
 
     def closed(self, split: Bits) -> Bits:
@@ -285,6 +309,6 @@ class CutTree:
     def drawn(self, split: Bits) -> Bits:
         """(N + M,) the nodes of the cut in which inner nodes (M,) are split, whichever they are."""
         closed = self.closed(split)
-        found = np.append(closed, True)[self._above]
+        found = np.append(closed, True)[self.above]
         found[self.leaves :] &= ~closed
         return found

@@ -45,9 +45,14 @@ if TYPE_CHECKING:
     from splat.raster.projection import Position
 
 Lattice = NDArray[np.float32]
-# A node and its parent: centres, standard deviations along the longest axes, and how far from their centres
-# those of what is below them lie. Six floats are spare.
-_BOUNDS = RecordLayout((8, 8), (), mean=3, size=1, radius=1, parent_mean=3, parent_size=1, parent_radius=1)
+# A node and its parent: centres, sizes, standard deviations along the longest axes, and how far from their
+# centres those of what is below them lie. Four floats are spare.
+_BOUNDS = RecordLayout(
+    (8, 8),
+    (),
+    **{"mean": 3, "size": 1, "extent": 1, "radius": 1},
+    **{"parent_mean": 3, "parent_size": 1, "parent_extent": 1, "parent_radius": 1},
+)
 # Size of what lies above a root, larger than any level.
 _ENDLESS = 1e30
 # Share of the way from the level at which a node appears to that at which it disappears, on a logarithmic
@@ -115,8 +120,12 @@ class HierarchyCut:
         self._leaves = arrays.constant(nodes.leaves)
         means, above = nodes.gaussians.means.numpy(), np.maximum(nodes.parent, 0)
         parent_size = np.where(nodes.parent < 0, np.float32(_ENDLESS), nodes.size[above])
-        own = {"mean": means, "size": nodes.size, "radius": nodes.radius}
-        parents = {"parent_mean": means[:, above], "parent_radius": nodes.radius[above]}
+        own = {"mean": means, "size": nodes.size, "extent": nodes.extent, "radius": nodes.radius}
+        parents = {
+            "parent_mean": means[:, above],
+            "parent_extent": nodes.extent[above],
+            "parent_radius": nodes.radius[above],
+        }
         self._bounds = _BOUNDS.upload(arrays, **own, **parents, parent_size=parent_size)
         # Roots turn into nothing, so any parent will do.
         self._parent = uploaded(arrays.plain.UInt, above.astype(np.uint32))
@@ -195,7 +204,7 @@ def octaves_too_large(arrays: Arrays, nodes: NodesInView) -> tuple[Float, Float,
     parent = view_position(bound.parent_mean, view)
     above = excess(bound.parent_mean, parent, bound.parent_size, bound.parent_radius)
     shows, parent_shows = (
-        within_frame(own, size, view, nodes.low_pass) for size in (bound.size, bound.parent_size)
+        within_frame(own, size, view, nodes.low_pass) for size in (bound.extent, bound.parent_extent)
     )
     return below, above, shows, parent_shows
 
@@ -255,8 +264,8 @@ def turned_footprints(own: Footprints, parent: Footprints, turned: Turned) -> Fo
     return Footprints(**{name: dr.select(begun, mixed[name], value) for name, value in vars(own).items()})
 
 
-# Of an inner node as above. Three floats are spare.
-_SPHERES = RecordLayout((8,), (), mean=3, size=1, radius=1)
+# Of an inner node as above. Two floats are spare.
+_SPHERES = RecordLayout((8,), (), mean=3, size=1, extent=1, radius=1)
 # Around the frame, nodes are as fine as at its border for so many degrees; beyond, they may be an octave
 # larger every so many degrees, and by so many octaves at most.
 _MARGIN, _DEGREES_PER_OCTAVE, _MOST_BESIDE = 4.0, 4.0, 6.0
@@ -275,8 +284,8 @@ class CompleteCuts:
         self.tree = CutTree(nodes.parent, nodes.leaves)
         self._arrays, self._blending = arrays, nodes.gaussians.blending
         inner = slice(nodes.leaves, None)
-        means, radius = nodes.gaussians.means.numpy()[:, inner], nodes.radius[inner]
-        self._spheres = _SPHERES.upload(arrays, mean=means, size=nodes.size[inner], radius=radius)
+        bounds = {name: getattr(nodes, name)[inner] for name in ("size", "extent", "radius")}
+        self._spheres = _SPHERES.upload(arrays, mean=nodes.gaussians.means.numpy()[:, inner], **bounds)
 
     def split(
         self, camera: Camera, levels: Lattice, most: int | None = None, before: Bits | None = None
@@ -325,7 +334,7 @@ def octaves_over(
     sphere = spheres.at(dr.arange(arrays.plain.UInt, count))
     away, ahead = distance(sphere.mean, view), axial(sphere.mean, view)
     nearest = away - sphere.radius
-    half = dr.asin(dr.minimum((sphere.radius + REACH * sphere.size) / dr.maximum(away, NEAR), 1))
+    half = dr.asin(dr.minimum((sphere.radius + REACH * sphere.extent) / dr.maximum(away, NEAR), 1))
     beside = dr.acos(dr.clip(ahead / dr.maximum(away, NEAR), -1, 1)) - half - cone
     allowed = dr.clip(beside * (math.degrees(1) / _DEGREES_PER_OCTAVE), 0, _MOST_BESIDE)
     seen, x, y, _ = view_position(sphere.mean, view)

@@ -11,7 +11,7 @@ on what of it fewer and larger Gaussians can show at all.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,13 +19,13 @@ import torch
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera, camera_from_pose, look_at, turned
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE
-from compose.image.colour import decibels
-from splat.model.gaussians import Blending, Gaussians, concatenated, perceptual_from_radiance
-from splat.model.hierarchy import Hierarchy
-from splat.model.points import rows_of
+from compose.image.colour import SRGB_DARK_VALUE, SRGB_SLOPE, decibels
+from splat.model.gaussians import SH_DC, Blending, Gaussians, concatenated, perceptual_from_radiance
+from splat.model.hierarchy import USUAL_CONTRAST, CutTree, Hierarchy
+from splat.model.points import Floats, rows_of
 from splat.raster.cut import HierarchyCut
 from splat.raster.differentiable import render_differentiable, visible
-from splat.raster.projection import PIXEL_FILTER
+from splat.raster.projection import NEAR, PIXEL_FILTER
 from splat.raster.tiles import TILE
 from splat.training.gaussian_optimizer import GaussianOptimizer
 
@@ -45,6 +45,10 @@ _JUDGED = 0.1
 _VIEWS, _BEYOND = 64, 0.25
 # Cuts have this share of the leaves that a view shows, at least and at most, on a logarithmic scale.
 _LEAST, _MOST = 1 / 40, 0.9
+# Of as many steps as a fit has, this part measures contrasts before it, and the rest after it.
+_MEASURED_BEFORE = 4
+# Where nothing is seen of what a node hides, its squared error per pixel is this part of the usual one.
+_LEAST_DENSITY = 1e-4
 # Level in pixels that no node is smaller than, from which cuts are made coarser.
 _FINEST = 0.05
 
@@ -101,45 +105,151 @@ def fitted_hierarchy(
     steps: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Hierarchy, float, float]:
-    """A hierarchy with inner nodes that are fitted, so that its cuts look as its leaves do.
+    """A hierarchy whose cuts look as its leaves do: with contrasts, and inner nodes that are fitted.
+
+    Contrasts are measured before the fit, which is then of cuts as they will be drawn, and again after it.
 
     Args:
         leaves: N Gaussians, on the host.
-        steps: how often a cut is looked at.
+        steps: of the fit, each of which looks at a cut; as many more measure contrasts.
         focal, cameras, seed, progress: as for `fitted_for_display`.
 
     Returns:
-        The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, before and after, in views
-        that it was not fitted to yet. If it is no better than before, it stays as it was.
+        The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, with inner nodes as given and
+        with fitted ones, in views they were not fitted to yet. If fitted ones are no better, they are left out.
     """
+    first = steps // _MEASURED_BEFORE
+    parts = [first, steps, steps - first]
+
+    def told(part: int) -> Callable[[int, int], None]:
+        return lambda done, total: progress(sum(parts[:part]) + done, sum(parts))
+
+    views = _Views(arrays, leaves, focal, cameras)
+    hierarchy = _with_contrasts(views, hierarchy, [seed, 0], parts[0], told(0))
+    hierarchy, before, after = _with_fitted_nodes(views, hierarchy, [seed, 1], parts[1], told(1))
+    return _with_contrasts(views, hierarchy, [seed, 2], parts[2], told(2)), before, after
+
+
+@dataclass(frozen=True)
+class _Views:
+    """Parts of views in which cuts are compared with the leaves."""
+
+    arrays: Arrays
+    leaves: Gaussians
+    focal: float
+    cameras: Sequence[Camera]
+
+    def cut_at_random(self, cut: HierarchyCut, seeds: list[int]) -> tuple[Camera, float, torch.Tensor]:
+        """A camera, its low-pass, and the indices (K,) of a cut's nodes, in ascending order."""
+        rng = np.random.default_rng(seeds)
+        camera = _between(self.cameras, self.focal, rng)
+        return camera, _low_pass(camera, self.focal), _cut_at_random(cut, camera, rng)
+
+    def picture(self, gaussians: Gaussians, camera: Camera, low_pass: float) -> torch.Tensor:
+        return _picture(self.arrays, gaussians, camera, low_pass)
+
+
+def _with_fitted_nodes(
+    views: _Views, hierarchy: Hierarchy, seeds: list[int], steps: int, progress: Callable[[int, int], None]
+) -> tuple[Hierarchy, float, float]:
+    """What `fitted_hierarchy` returns, with the contrasts that the hierarchy has."""
+    leaves, arrays = views.leaves, views.arrays
     nodes = hierarchy.nodes(leaves)
     cut, own = HierarchyCut(arrays, nodes), leaves.to(arrays.device)
     inner = nodes.gaussians.part(len(leaves), len(nodes.gaussians))
-    optimizer = GaussianOptimizer(inner, _STILLNESS * TYPICAL_DISTANCE / focal, arrays.device)
-    merged, errors = inner.to(arrays.device), np.zeros((0, 2))
+    optimizer = GaussianOptimizer(inner, _STILLNESS * TYPICAL_DISTANCE / views.focal, arrays.device)
+    former, errors = inner.to(arrays.device), np.zeros((0, 2))
     for step in range(steps):
-        rng = np.random.default_rng([seed, step])
-        camera = _between(cameras, focal, rng)
-        chosen = _cut_at_random(cut, camera, rng).to(arrays.device)
+        camera, low_pass, index = views.cut_at_random(cut, [*seeds, step])
+        chosen = index.to(arrays.device)
         few, many = chosen[chosen >= len(leaves)] - len(leaves), chosen[chosen < len(leaves)]
         if len(few):
-            low_pass, finer = _low_pass(camera, focal), own.select(many)
+            finer = own.select(many)
             with torch.no_grad():
-                truth = _picture(arrays, own, camera, low_pass)
+                truth = views.picture(own, camera, low_pass)
             now = concatenated([finer, optimizer.chosen(few)])
-            difference = _picture(arrays, now, camera, low_pass) - truth
+            difference = views.picture(now, camera, low_pass) - truth
             optimizer.step(difference.abs().mean(), step / steps)
             if step >= (1 - _JUDGED) * steps:
                 with torch.no_grad():
-                    before = concatenated([finer, merged.select(few)])
-                    former = _picture(arrays, before, camera, low_pass) - truth
-                both = [float(part.detach().clamp(-1, 1).square().mean()) for part in (former, difference)]
+                    before = concatenated([finer, former.select(few)])
+                    given = views.picture(before, camera, low_pass) - truth
+                both = [float(_squared(part.detach()).mean()) for part in (given, difference)]
                 errors = np.append(errors, [both], axis=0)
         progress(step + 1, steps)
     fitted = replace(optimizer.gaussians, blending=leaves.blending)
     first, last = map(float, errors.mean(axis=0)) if len(errors) else (0.0, 0.0)
     found = replace(hierarchy, inner=fitted) if last < first else hierarchy
     return found, decibels(first), decibels(min(first, last))
+
+
+def _with_contrasts(
+    views: _Views, hierarchy: Hierarchy, seeds: list[int], steps: int, progress: Callable[[int, int], None]
+) -> Hierarchy:
+    """A hierarchy whose contrasts are measured in pictures of so many cuts.
+
+    The squared error of a pixel is shared among the nodes that it shows, by their weights. Cuts that levels
+    limit by extent times contrast then have nodes of about the same squared error each, so that no other cut
+    of as many nodes is closer to the leaves.
+    """
+    leaves, arrays = views.leaves, views.arrays
+    nodes, count = hierarchy.nodes(leaves), len(leaves)
+    cut, own, every = HierarchyCut(arrays, nodes), leaves.to(arrays.device), nodes.gaussians.to(arrays.device)
+    means = rows_of(nodes.gaussians.means)
+    errors, areas, seen = np.zeros((3, len(nodes.size)))
+    for step in range(steps):
+        camera, low_pass, index = views.cut_at_random(cut, [*seeds, step])
+        number = index.numpy()
+        ahead = np.linalg.norm(means[number] - camera.position, axis=1) - nodes.radius[number]
+        inner = (number >= count) & (ahead > NEAR)
+        if inner.any():
+            drawn = every.select(index.to(arrays.device))
+            with torch.no_grad():
+                truth = views.picture(own, camera, low_pass)
+                error = _squared(views.picture(drawn, camera, low_pass) - truth).mean(dim=2)
+            shares = _shares(arrays, drawn, camera, low_pass, error).cpu().numpy()
+            number, ahead = number[inner], ahead[inner]
+            errors[number] += np.maximum(shares[inner], 0)
+            areas[number] += np.square(nodes.extent[number] * max(camera.fx, camera.fy) / ahead)
+            seen[number] += 1
+        progress(step + 1, steps)
+    found = _contrasts(CutTree(nodes.parent, count), errors[count:], areas[count:], seen[count:])
+    return replace(hierarchy, contrast=torch.from_numpy(np.float32(found)))
+
+
+def _squared(difference: torch.Tensor) -> torch.Tensor:
+    return difference.clamp(-1, 1).square()
+
+
+def _shares(
+    arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float, values: torch.Tensor
+) -> torch.Tensor:
+    """(N,) sums of the values of pixels (H, W) by the weights of each Gaussian in them."""
+    # So dark that radiance is a multiple of the perceptual value.
+    dark = torch.full_like(gaussians.sh[:1], (0.5 * SRGB_DARK_VALUE - 0.5) / SH_DC).requires_grad_()
+    image = render_differentiable(arrays, replace(gaussians, sh=dark, directional=None), camera, low_pass)
+    slope = SH_DC / SRGB_SLOPE
+    if gaussians.blending is Blending.DISPLAY:
+        image, slope = perceptual_from_radiance(image), SH_DC
+    (gradient,) = torch.autograd.grad((image[..., 0] * values).sum(), dark)
+    return gradient[0, 0] / slope
+
+
+def _contrasts(tree: CutTree, errors: Floats, areas: Floats, seen: Floats) -> Floats:
+    """(M,) contrasts of inner nodes, which showed squared errors over areas in so many views.
+
+    A node counts as seen once more, with the error per area of the node above it.
+    """
+    if not errors.sum():
+        return np.full(len(errors), USUAL_CONTRAST)
+    usual = errors.sum() / areas.sum()
+    weight = np.divide(areas, seen, out=np.ones_like(areas), where=seen > 0)
+    density = np.append(np.zeros(len(errors)), usual)
+    for nodes in tree.by_depth:
+        above = density[tree.above[tree.leaves + nodes]]
+        density[nodes] = (errors[nodes] + weight[nodes] * above) / (areas[nodes] + weight[nodes])
+    density = np.maximum(density[:-1], _LEAST_DENSITY * usual)
+    return np.sqrt(density)
 
 
 def _picture(arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float) -> torch.Tensor:

@@ -73,6 +73,22 @@ def test_fitted_inner_nodes_come_back(degree, tmp_path):
     assert equal(load_forest(tmp_path / "f").hierarchy.inner, inner)
 
 
+def test_contrasts_come_back(tmp_path):
+    hierarchy = hierarchy_of(forest().layers[-1])
+    contrast = torch.linspace(0.1, 3, len(hierarchy))
+    save_forest(tmp_path / "f", replace(forest(), hierarchy=replace(hierarchy, contrast=contrast)))
+    assert torch.equal(load_forest(tmp_path / "f").hierarchy.contrast, contrast)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, 1])
+def test_damaged_contrasts_are_named(value, tmp_path):
+    hierarchy = hierarchy_of(forest().layers[-1])
+    contrast = torch.full((len(hierarchy),), value)
+    save_forest(tmp_path / "f", replace(forest(), hierarchy=replace(hierarchy, contrast=contrast)))
+    with pytest.raises(UserError, match=r"damaged forest file .a hierarchy of contrasts"):
+        load_forest(tmp_path / "f")
+
+
 @pytest.mark.parametrize(
     "children", [[[0, 900]], [[0, 1], [1, 2]], [[0, -1]], [[0, 1, 2]], [0, 1], [[0.0, 1.0]]]
 )

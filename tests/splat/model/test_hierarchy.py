@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splat.model.gaussians import Blending, Gaussians
-from splat.model.hierarchy import CutTree, Hierarchy, hierarchy_of
+from splat.model.hierarchy import USUAL_CONTRAST, CutTree, Hierarchy, hierarchy_of
 from splat.model.trees import Layer, merge, static_layer
 from tests.extremes import extreme
 from tests.splat.samples import gaussians
@@ -37,6 +37,25 @@ def test_every_node_but_few_roots_has_a_parent_that_is_larger():
     assert (nodes.size[nodes.parent[has]] > nodes.size[has]).all()
     assert (np.bincount(nodes.parent[has])[400:] == 2).all()
     assert np.count_nonzero(~has) == 400 - len(hierarchy) <= 4
+
+
+def test_sizes_are_extents_times_contrasts_and_nested():
+    leaves = surface(60).gaussians
+    hierarchy = hierarchy_of(surface(60))
+    contrast = torch.from_numpy(np.random.default_rng(3).lognormal(0, 2, len(hierarchy)).astype(np.float32))
+    plain, nodes = hierarchy.nodes(leaves), replace(hierarchy, contrast=contrast).nodes(leaves)
+    np.testing.assert_array_equal(nodes.extent, plain.extent)
+    np.testing.assert_allclose(nodes.extent, nodes.gaussians.longest, rtol=1e-6)
+    size = np.zeros(len(nodes.size))
+    for node, parent in enumerate(nodes.parent):
+        if node < 60:
+            # Leaves are as those that they disappear in.
+            factor = 1.0 if parent < 0 else float(contrast[parent - 60]) / USUAL_CONTRAST
+            size[node] = float(nodes.extent[node]) * factor
+        else:
+            least = 1.1 * max(size[child] for child in hierarchy.children[node - 60].tolist())
+            size[node] = max(float(nodes.extent[node]) * float(contrast[node - 60]) / USUAL_CONTRAST, least)
+    np.testing.assert_allclose(nodes.size, size, rtol=1e-6)
 
 
 def test_the_first_nodes_are_the_leaves_to_the_bit():

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from compose.camera.camera import camera_from_pose
 from splat.model.forest import Forest
@@ -14,9 +15,14 @@ from splat.raster.cut import CompleteCuts, HierarchyCut
 from tests.splat.lod.views import flat, frame_camera, overlapping_forest, ramp
 
 
-@pytest.fixture(scope="module")
-def forest() -> Forest:
-    return overlapping_forest()
+@pytest.fixture(scope="module", params=[False, True], ids=["extents", "contrasts"])
+def forest(request) -> Forest:
+    made = overlapping_forest()
+    if not request.param:
+        return made
+    hierarchy = made.own_hierarchy
+    contrast = torch.from_numpy(np.random.default_rng(5).lognormal(-2, 1, len(hierarchy)).astype(np.float32))
+    return replace(made, hierarchy=replace(hierarchy, contrast=contrast))
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +43,12 @@ def twin(forest: Forest, camera, level: float) -> np.ndarray:
     """(M,) by how many octaves nodes are too large for a level that is the same everywhere."""
     nodes = forest.hierarchy_nodes
     means = nodes.gaussians.means.double().numpy().T[nodes.leaves :]
-    size, radius = (x.astype(np.float64)[nodes.leaves :] for x in (nodes.size, nodes.radius))
+    size, extent, radius = (
+        x.astype(np.float64)[nodes.leaves :] for x in (nodes.size, nodes.extent, nodes.radius)
+    )
     local = means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     away = np.linalg.norm(local, axis=1)
-    half = np.arcsin(np.minimum((radius + 3.33 * size) / away, 1))
+    half = np.arcsin(np.minimum((radius + 3.33 * extent) / away, 1))
     corner = math.atan(math.hypot(camera.cx / camera.fx, camera.cy / camera.fy))
     beside = np.degrees(np.arccos(local[:, 2] / away) - half - corner) - 4
     near = np.maximum(away - radius, 0.01)
