@@ -104,7 +104,7 @@ class Hierarchy:
             nodes = concatenated([nodes, merged])
         is_heir = np.ones(len(size), dtype=bool)
         is_heir[children[:, 1]] = False
-        bounds = map(np.float32, (size, extent, radius))
+        bounds = np.float32(size), np.float32(extent), np.float32(radius)
         return HierarchyNodes(nodes, parent.astype(np.int32), is_heir, *bounds, count)
 
     def _contrasts(self, parent: Ints) -> Floats:

@@ -116,7 +116,7 @@ def fitted_hierarchy(
 
     Returns:
         The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, with inner nodes as given and
-        with fitted ones, in views they were not fitted to yet. If fitted ones are no better, they are left out.
+        with fitted ones, in views they were not fitted to yet. Fitted ones that are no better are left out.
     """
     first = steps // _MEASURED_BEFORE
     parts = [first, steps, steps - first]
