@@ -1,11 +1,15 @@
-"""Continuous levels of detail against the layers of a forest, at as many Gaussians: what a viewer notices.
+"""Continuous levels of detail at as many Gaussians, against each other and a forest's layers.
 
 python -m benchmarks.levels SCENE --forest FOREST [--json FILE]
+
+Quality is that of splats alone against the finest layer at full rate, over views that nothing was fitted to,
+each with another gaze.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,71 +19,133 @@ import numpy as np
 
 import hybrid
 from benchmarks import measure_forest
+from compose.camera.camera import Camera, turned
+from compose.eye.display import DISPLAYS
+from compose.eye.gaze import Gaze
 from hybrid.base.compute_device import device_arrays
 from hybrid.evaluation.splat_bench import display_camera
+from hybrid.evaluation.verdicts import mean_interval
 from hybrid.measure.image_metrics import psnr
 from hybrid.measure.perceptual_metrics import jod
-from hybrid.render.forest_attachments import own_views
+from hybrid.render.forest_attachments import own_views, views_of
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
 from splat.lod.layer_images import SplatImage
+from splat.model.forest import Forest
 from splat.training.picture_fit import fitted_hierarchy
 
-_STEPS, _REPEATS = 2000, 9
+_STEPS, _REPEATS, _VIEWS = 2000, 9, 8
+# Standard deviations, in degrees of views from those of the training, and of gazes in parts of the frame.
+_TURN, _GAZE = 12.0, 0.15
 # Units of the scene that the camera moves per frame: enough to make it another one.
 _STEP = 1e-4
+# Gaussians that are drawn, as parts of those that a view shows.
+_SHARES = (0.2, 0.5)
 # Nothing is path-traced.
 _SPLATS = FrameSettings(fov_a=0.0, fov_b=0.0, fill=False)
+_OURS, _EXTENTS, _ALIKE = "continuous", "continuous, by extent alone", "continuous, alike everywhere"
 
 
 def measured(scene_name: str, file: Path) -> dict[str, Any]:
-    """Rows of methods on the display `desktop`, with the gaze in the middle, and what the fit brought."""
+    """Qualities by display, number of Gaussians and method; times; and what the fit brought."""
     forest, scene = hybrid.load_forest(file), hybrid.load_scene(scene_name)
-    hierarchy, views = forest.own_hierarchy, own_views(forest)
     start = time.perf_counter()
-    fitted, before, after = fitted_hierarchy(
-        device_arrays(), hierarchy, forest.finest, forest.trained_focal, views, 0, _STEPS
-    )
+    given = forest.own_hierarchy, forest.finest, forest.trained_focal, own_views(forest)
+    fitted, before, after = fitted_hierarchy(device_arrays(), *given, 0, _STEPS)
     seconds = time.perf_counter() - start
-    camera = display_camera(scene.camera, _SPLATS.display)
-    layers = Periphery(device_arrays(), forest)
-    continuous = {
-        name: Periphery(device_arrays(), replace(forest, hierarchy=own))
-        for name, own in (("merged", hierarchy), ("fitted", fitted))
+    forest = replace(forest, hierarchy=fitted)
+    methods = {
+        _OURS: Periphery(device_arrays(), forest),
+        _EXTENTS: Periphery(device_arrays(), replace(forest, hierarchy=replace(fitted, contrast=None))),
     }
-    truth = layers.whole(camera, _SPLATS).numpy()
+    qualities = []
+    for name, display in DISPLAYS.items():
+        found: dict[tuple[str, str], list[dict[str, float]]] = {}
+        settings = replace(_SPLATS, display=display)
+        for view, gaze in _views(forest, display_camera(scene.camera, display)):
+            for against, method, row in _compared(methods, view, replace(settings, gaze=gaze)):
+                found.setdefault((against, method), []).append(row)
+        qualities += [
+            {"display": name, "gaussians": against, "method": method, **_summary(rows, found[against, _OURS])}
+            for (against, method), rows in found.items()
+        ]
+    times = _times(methods[_OURS], display_camera(scene.camera, _SPLATS.display))
+    fit = {"fit_seconds": seconds, "steps": _STEPS, "before_db": before, "after_db": after}
+    return {"scene": scene_name, "views": _VIEWS, "qualities": qualities, "times": times, **fit}
 
-    def row(method: str, periphery: Periphery, settings: FrameSettings) -> dict[str, Any]:
-        region = settings.foveation.region(camera.width, camera.height)
 
-        def draw(number: int) -> SplatImage:
-            view = camera.moved_right(number * _STEP)
-            return periphery.draw(view, periphery.detail(view, settings, moving=True), region)
+def _views(forest: Forest, like: Camera) -> Iterator[tuple[Camera, Gaze]]:
+    """Turned views of the training, with the size and angles of a camera."""
+    rng, poses = np.random.default_rng(0), [view.camera_to_world for view in views_of(forest)]
+    for index in rng.integers(0, len(poses), _VIEWS):
+        pose = poses[index].copy()
+        pose[:3, :3] = turned(pose[:3, :3], *(_TURN * rng.normal(size=2)))
+        yield like.at(pose), Gaze(*np.clip(0.5 + _GAZE * rng.normal(size=2), 0, 1).tolist())
 
-        times = []
-        for number in range(-2, _REPEATS):
-            start = time.perf_counter()
-            draw(number)
-            dr.sync_thread()
-            times.append((time.perf_counter() - start) * 1000)
-        drawn = draw(0)
+
+def _compared(
+    methods: dict[str, Periphery], view: Camera, settings: FrameSettings
+) -> Iterator[tuple[str, str, dict[str, float]]]:
+    """What as many Gaussians are as, method, and number of Gaussians, PSNR and JOD; of one view."""
+    ours = methods[_OURS]
+    region = settings.foveation.region(view.width, view.height)
+    whole = ours.whole(view, settings)
+    truth = whole.numpy()
+
+    def row(periphery: Periphery, settings: FrameSettings) -> dict[str, float]:
+        drawn = periphery.draw(view, periphery.detail(view, settings), region)
+        image, shown = drawn.numpy(), (settings.display, settings.gaze)
+        quality = jod(image, truth, *shown)
         return {
-            "method": method,
             "nodes": drawn.nodes,
-            "ms": float(np.median(times[2:])),
-            "psnr": psnr(drawn.numpy(), truth),
-            "jod": jod(drawn.numpy(), truth, settings.display, settings.gaze),
+            "psnr": psnr(image, truth),
+            "jod": np.nan if quality is None else quality,
         }
 
-    rows = []
-    for number in range(1, len(forest.counts)):
-        rows.append(row(f"layer {number}", layers, replace(_SPLATS, layers=(number, number))))
-        few = replace(_SPLATS, gaussians=rows[-1]["nodes"])
-        rows += [row(f"{name}, as many", periphery, few) for name, periphery in continuous.items()]
-    rows.append(row("layers, as the eye resolves", layers, _SPLATS))
-    for level in (1.0, 2.0, 3.0):
-        rows.append(row(f"fitted, level {level:g}", continuous["fitted"], replace(_SPLATS, level=level)))
-    return {"rows": rows, "fit_seconds": seconds, "steps": _STEPS, "before_db": before, "after_db": after}
+    for share in _SHARES:
+        few, name = replace(settings, gaussians=round(share * whole.nodes)), f"{share:.0%}"
+        for method, periphery in methods.items():
+            yield name, method, row(periphery, few)
+        yield name, _ALIKE, row(ours, replace(few, acuity_model="none"))
+    layers = {f"layer {n}": replace(settings, layers=(n, n)) for n in range(1, len(ours.forest.counts))}
+    if layers:
+        layers["layers by zones"] = replace(settings, acuity_model="fov-gs")
+    for name, chosen in layers.items():
+        of_layers = row(ours, chosen)
+        yield name, name, of_layers
+        yield name, _OURS, row(ours, replace(settings, gaussians=int(of_layers["nodes"])))
+
+
+def _summary(rows: list[dict[str, float]], ours: list[dict[str, float]]) -> dict[str, Any]:
+    """Means over the views, and by how many JOD continuous levels are ahead, with a 95 % interval."""
+    means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    ahead = [own["jod"] - row["jod"] for own, row in zip(ours, rows, strict=True)]
+    return means | {"ahead": list(mean_interval(ahead, 0.95))}
+
+
+def _times(periphery: Periphery, camera: Camera) -> list[dict[str, Any]]:
+    """Milliseconds of some settings, camera moving."""
+    region = _SPLATS.foveation.region(camera.width, camera.height)
+    counts = periphery.forest.counts
+    cases = {f"layer {n}": replace(_SPLATS, layers=(n, n)) for n in range(1, len(counts) + 1)}
+    cases["layers, as the eye resolves"] = _SPLATS
+    cases |= {f"{n:,} Gaussians": replace(_SPLATS, gaussians=n) for n in (5000, 10000, 20000, 40000)}
+
+    def draw(settings: FrameSettings, number: int) -> SplatImage:
+        view = camera.moved_right(number * _STEP)
+        return periphery.draw(view, periphery.detail(view, settings, moving=True), region)
+
+    times: dict[str, list[float]] = {name: [] for name in cases}
+    for number in range(-2, _REPEATS):
+        for name, settings in cases.items():
+            start = time.perf_counter()
+            draw(settings, number)
+            dr.sync_thread()
+            times[name].append((time.perf_counter() - start) * 1000)
+    return [
+        {"method": name, "nodes": draw(settings, 0).nodes, "ms": float(np.median(times[name][2:]))}
+        for name, settings in cases.items()
+    ]
 
 
 if __name__ == "__main__":

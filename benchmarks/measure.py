@@ -50,7 +50,11 @@ MEASUREMENTS = {
     **{f"paths-{name}": _PATHS.format(*placed) for name, placed in _PLACED.items()},
     "evaluation": f"python -m benchmarks.evaluations room --quick {_FRAMES}",
     "periphery": f"hybrid bench periphery room {_FRAMES}",
-    "levels": f"python -m benchmarks.levels room {_FRAMES}",
+    **{
+        f"levels-{name}": f"python -m benchmarks.levels {scene} --forest {forest}.forest"
+        for name, (scene, forest) in _PLACED.items()
+        if name in ("room", "staircase2", "gantry", "workshop")
+    },
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
     "late-warp": f"python -m benchmarks.late_warp room {_FRAMES}",
     "remote": f"python -m benchmarks.remote room --seconds 30 {_FRAMES}",

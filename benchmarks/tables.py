@@ -224,16 +224,35 @@ def periphery() -> str:
     return _table(header, _rows(form, found), "periphery")
 
 
+_LEVELS = "room", "staircase2", "gantry", "workshop"
+
+
 def levels() -> str:
-    """Continuous levels of detail against layers, at as many Gaussians."""
-    found = result("levels")
-    rows = [row | {"jod": _known(row["jod"], ".2f")} for row in found["rows"]]
-    fit = (
-        "`hybrid levels` took {fit_seconds:.0f} s for {steps:,} steps, which brought {before_db:.1f} to "
-        "{after_db:.1f} dB in views and cuts that it was not fitted to yet."
+    """Continuous levels of detail against others, at as many Gaussians."""
+    form = (
+        "{scene} | {display} | {gaussians} | {method} | {nodes:,.0f} | {psnr:.1f} | {jod:.2f} | "
+        "{ahead[0]:.2f} ({ahead[1]:.2f} to {ahead[2]:.2f})"
     )
-    lines = _rows("{method} | {nodes:,} | {ms:.0f} | {psnr:.1f} | {jod}", rows)
-    return _table("drawn | Gaussians | ms | PSNR, dB | JOD", lines, "levels", below=fit.format_map(found))
+    rows, fits = [], []
+    for name in _LEVELS:
+        found = result(f"levels-{name}")
+        rows += [row | {"scene": name} for row in found["qualities"] if row["method"] != "continuous"]
+        fits.append(
+            "{name} {before_db:.1f} to {after_db:.1f} dB in {fit_seconds:.0f} s".format(name=name, **found)
+        )
+    header = (
+        "scene | display | Gaussians as | method | Gaussians | PSNR, dB | JOD | continuous levels ahead, JOD"
+    )
+    below = (
+        "Fits of 2,000 steps: " + "; ".join(fits) + ", in views and cuts that they were not fitted to yet."
+    )
+    return _table(header, _rows(form, rows), *(f"levels-{name}" for name in _LEVELS), below=below)
+
+
+def level_times() -> str:
+    """Time of continuous levels of detail and of layers."""
+    lines = _rows("{method} | {nodes:,} | {ms:.1f}", result("levels-room")["times"])
+    return _table("drawn | Gaussians | ms", lines, "levels-room")
 
 
 def frames(name: str = "frame") -> str:
@@ -486,7 +505,19 @@ _HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
     *(_periphery, _integrator, _registration, _rasterizer, _card),
 )
 _MADE = (
-    *(headlines, quickstart, resolution, radius, denoiser, paths, evaluation, integrators, periphery, levels),
+    *(
+        headlines,
+        quickstart,
+        resolution,
+        radius,
+        denoiser,
+        paths,
+        evaluation,
+        integrators,
+        periphery,
+        levels,
+        level_times,
+    ),
     *(preparation, acuity, studies, frames, raster, window, late_warp, remote, stored, colmap),
 )
 TABLES: dict[str, Callable[[], str]] = {

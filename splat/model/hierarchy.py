@@ -29,7 +29,7 @@ _COLOUR = 0.6
 # Points are moved apart by up to this share of a round's size, each by another multiple of the golden ratio.
 _APART, _GOLDEN = 1e-3, 0.6180339887498949
 # Contrast of nodes whose sizes are their extents.
-USUAL_CONTRAST = 0.1
+USUAL_CONTRAST = 0.02
 # A parent is larger than its children by at least this factor, so that cuts are well defined.
 _LARGER = 1.1
 
