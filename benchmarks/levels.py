@@ -32,7 +32,7 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
 from splat.lod.layer_images import SplatImage
 from splat.model.forest import Forest
-from splat.training.picture_fit import fitted_hierarchy
+from splat.training.picture_fit import CutViews, fitted_hierarchy
 
 _STEPS, _REPEATS, _VIEWS = 2000, 9, 8
 # Standard deviations, in degrees of views from those of the training, and of gazes in parts of the frame.
@@ -50,8 +50,8 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
     """Qualities by display, number of Gaussians and method; times; and what the fit brought."""
     forest, scene = hybrid.load_forest(file), hybrid.load_scene(scene_name)
     start = time.perf_counter()
-    given = forest.own_hierarchy, forest.finest, forest.trained_focal, own_views(forest)
-    fitted, before, after = fitted_hierarchy(device_arrays(), *given, 0, _STEPS)
+    views = CutViews(device_arrays(), forest.finest, forest.trained_focal, own_views(forest))
+    fitted, before, after = fitted_hierarchy(views, forest.own_hierarchy, 0, _STEPS)
     seconds = time.perf_counter() - start
     forest = replace(forest, hierarchy=fitted)
     methods = {

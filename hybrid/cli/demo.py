@@ -36,6 +36,7 @@ def demo(
     paths: o.Paths = INTERACTIVE.paths.value,
     level: o.Level = None,
     gaussians: o.MostGaussians = None,
+    level_jod: o.LevelJod = None,
     acuity_model: o.AcuityModelName = INTERACTIVE.acuity_model,
     integrator: o.IntegratorName = None,
     target: Annotated[
@@ -126,12 +127,13 @@ def demo(
         paths=paths,
         level=level,
         gaussians=gaussians,
+        level_jod=level_jod,
     )
     remote = _server(scene, server, token_file, ca)
     if target is not None and remote is not None:
         raise UserError("--target: measures paths, which --server has none of")
     if target is not None and settings.is_continuous:
-        raise UserError("--target: chooses layers; leave out --level and --gaussians")
+        raise UserError("--target: chooses layers; leave out --level, --gaussians and --level-jod")
     o.check_writable(out / "picture.png")
     if gaze_trace is not None and simulate:
         raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")

@@ -130,6 +130,16 @@ MostGaussians = Annotated[
         max=MOST_GAUSSIANS,
     ),
 ]
+LevelJod = Annotated[
+    float | None,
+    frame(
+        help="Continuous levels of detail: as few Gaussians as this quality takes, in JOD against the finest "
+        "layer, as hybrid levels has learnt it for the display.",
+        min=0,
+        max=10,
+        callback=finite,
+    ),
+]
 AcuityModelName = Annotated[
     str,
     viewer(

@@ -118,6 +118,7 @@ def render(
     layers: o.Layers = None,
     level: o.Level = None,
     gaussians: o.MostGaussians = None,
+    level_jod: o.LevelJod = None,
     display: o.DisplayName = "desktop",
     detail: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a PNG of level, rate and eccentricity.")
@@ -157,6 +158,7 @@ def render(
         paths=paths,
         level=level,
         gaussians=gaussians,
+        level_jod=level_jod,
     )
     _check_layers(settings)
     # Before a forest is prepared for nothing.
@@ -208,6 +210,7 @@ def _check_measured(settings: FrameSettings, max_depth: int | None) -> None:
         "--layers": settings.layers is not None,
         "--level": settings.level is not None,
         "--gaussians": settings.gaussians is not None,
+        "--level-jod": settings.level_jod is not None,
         "--max-depth": max_depth is not None,
         "--paths where-needed": settings.paths is Placement.WHERE_NEEDED,
     }
@@ -310,7 +313,9 @@ def _check_layers(settings: FrameSettings) -> None:
         return
     low, high = settings.layers
     if settings.is_continuous:
-        raise UserError("--layers: --level and --gaussians draw no layers; leave out one or the other")
+        raise UserError(
+            "--layers: --level, --gaussians and --level-jod draw no layers; leave out one or the other"
+        )
     if not 1 <= low <= high:
         raise UserError(f"--layers {low} {high}: must be the coarsest and the finest to draw, counted from 1")
 
@@ -423,7 +428,7 @@ def _render_video(
 
 def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
     camera, settings = settings.resolved(scene.camera)
-    names = ("spp", "fov_a", "fov_b", "level", "gaussians")
+    names = ("spp", "fov_a", "fov_b", "level", "gaussians", "level_jod")
     return {
         "scene": scene.name,
         **splat_facts(settings, camera),

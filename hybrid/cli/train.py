@@ -128,27 +128,33 @@ def levels(
     steps: Annotated[
         int, typer.Option(help="Steps of the fit, each of one view.", min=1, max=o.MOST_FRAMES)
     ] = _STEPS,
+    display: o.DisplayName = "desktop",
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
 ) -> o.Measured:
-    """Fit the levels of detail that `render --level` and `--gaussians` draw; takes a minute or two.
+    """Fit the levels of detail that `render --level` and `--gaussians` draw; takes a few minutes.
 
     Gaussians of the finest layer are joined to a tree, and its inner nodes are fitted to pictures of that
-    layer, so no paths are traced. Until it is finished, the file stays as it is.
+    layer, so no paths are traced. With FovVideoVDP, their quality is learnt as well, for `--level-jod` on a
+    display. Until it is finished, the file stays as it is.
     """
+    from compose.eye.display import display_named
     from splat.io.forest_file import load_forest, save_forest
 
-    target = source if output is None else output
+    target, shown = source if output is None else output, display_named(display)
     o.check_writable(target)
     forest = load_forest(source)
     if forest.motion is not None or forest.light is not None:
         raise UserError(f"{source}: something moves in it, which has no continuous levels of detail")
     o.select(backend)
     from hybrid.base.compute_device import device_arrays
+    from hybrid.measure.perceptual_metrics import INSTALL, has_fovvideovdp
+    from hybrid.preparation.level_judging import judged_quality
     from hybrid.render.forest_attachments import own_views
+    from hybrid.render.level_quality import attach_quality
     from splat.io.ply import UNBOUND_FOCAL
     from splat.model.hierarchy import hierarchy_of
-    from splat.training.picture_fit import fitted_hierarchy, views_around
+    from splat.training.picture_fit import CutViews, fitted_hierarchy, views_around
 
     finest, focal = forest.layers[-1], forest.trained_focal
     if focal == UNBOUND_FOCAL:
@@ -157,11 +163,20 @@ def levels(
     with progress_bar("tree (Gaussians)") as bar:
         hierarchy = hierarchy_of(finest, bar)
     with progress_bar("fit of levels (steps)") as bar:
-        fitted = fitted_hierarchy(
-            device_arrays(), hierarchy, finest.gaussians, focal, views, seed, steps, bar
-        )
+        cuts = CutViews(device_arrays(), finest.gaussians, focal, views)
+        fitted = fitted_hierarchy(cuts, hierarchy, seed, steps, bar)
     hierarchy, first, last = fitted
-    save_forest(target, replace(forest, hierarchy=hierarchy))
+    forest, error = replace(forest, hierarchy=hierarchy), None
+    if has_fovvideovdp():
+        with progress_bar("quality of levels (pictures)") as bar:
+            quality, error = judged_quality(cuts, forest, shown, seed, -(-steps // 2), bar)
+        forest = attach_quality(forest, quality)
+    save_forest(target, forest)
     print(f"{target}: {len(hierarchy):,} inner nodes over {len(finest):,} Gaussians")
     print(f"cuts are {last:.1f} dB from pictures of the finest layer ({first:.1f} before)")
-    return {"gaussians": len(finest), "inner": len(hierarchy), "psnr_before": first, "psnr": last}
+    if error is None:
+        print(f"their quality is not known: {INSTALL}")
+    else:
+        print(f"their quality is known to {error:.2f} JOD, in views that it was not learnt from")
+    found = {"psnr_before": first, "psnr": last, "jod_error": error}
+    return {"gaussians": len(finest), "inner": len(hierarchy), **found}

@@ -123,9 +123,7 @@ def jod_of_video(
     shown, expected = (np.stack([srgb_from_radiance(one) for one in all_]) for all_ in (images, references))
     if _is_flat(shown) and _is_flat(expected) and not np.array_equal(shown, expected):
         return None
-    try:
-        _pyfvvdp()
-    except ImportError:
+    if not has_fovvideovdp():
         return None
     score, _ = _metric(width, height, display).predict(
         shown,
@@ -135,6 +133,50 @@ def jod_of_video(
         fixation_point=torch.tensor([one.pixel(width, height) for one in gazes]),
     )
     return float(score)
+
+
+def difference_map(shown: Image, expected: Image, display: Display, eccentricity: float) -> Tensor:
+    """(H, W) visible differences of two pictures, with the exponent of FovVideoVDP's sums over pixels.
+
+    All bands are added up, each pixel of a coarser one over the pixels that it covers.
+
+    Args:
+        shown, expected: (H, W, 3) display-encoded, 0..1, of 4 x 4 pixels or more.
+        eccentricity: of the picture's middle, in degrees.
+
+    ImportError if FovVideoVDP is not installed.
+    """
+    height, width = shown.shape[:2]
+    metric, bands = _metric(width, height, display), list[Tensor]()
+    masked = type(metric).apply_masking_model
+
+    def kept(shown: Tensor, expected: Tensor, threshold: Tensor, channel: int) -> Tensor:
+        bands.append(masked(metric, shown, expected, threshold, channel))
+        return bands[-1]
+
+    metric.apply_masking_model = kept
+    try:
+        beside = width / 2 - np.tan(np.radians(eccentricity)) * display.focal
+        gaze = torch.tensor([beside, height / 2])
+        metric.predict(
+            shown[None], expected[None], dim_order="FHWC", frames_per_second=0, fixation_point=gaze
+        )
+    finally:
+        del metric.apply_masking_model
+    found = torch.zeros(1, 1, height, width)
+    for band in bands:
+        powers = band.reshape(1, 1, *band.shape[-2:]) ** metric.beta
+        found += functional.interpolate(powers, (height, width), mode="nearest")
+    return found[0, 0]
+
+
+def has_fovvideovdp() -> bool:
+    """Whether FovVideoVDP is installed."""
+    try:
+        _pyfvvdp()
+    except ImportError:
+        return False
+    return True
 
 
 def _is_flat(shown: Image) -> bool:

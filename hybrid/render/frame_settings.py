@@ -43,6 +43,8 @@ EXTRA_AOVS = "splat", "depth"
 MOST_SPP = 1 << 24
 # Of a continuous level of detail, as in the paper that they are from.
 MOST_LEVEL = 100.0
+# The quality of what cannot be told from the finest layer.
+_BEST_JOD = 10.0
 # A fused estimate of fewer is hardly better than the splats: fewer cells are traced instead.
 _LEAST_SPP_OF_CELLS = 4
 
@@ -112,10 +114,12 @@ class FrameSettings:
         aovs: which of EXTRA_AOVS are rendered with the frame.
         paths: where they are traced. `where-needed` traces as many as the disc takes, in the cells of the
             frame where the forest expects the most visible errors; not in a raw fovea, whose noise is worse.
-        level, gaussians: continuous levels of detail in place of layers, of forests in which nothing moves;
-            both None for layers. The standard deviation that Gaussians may have, in the finest details that
-            the viewer resolves there, over 0 and at most MOST_LEVEL, 1 unless given; and how many are drawn
-            at most in the periphery, by higher levels all over it.
+        level, gaussians, level_jod: continuous levels of detail in place of layers, of forests in which
+            nothing moves; all None for layers. The standard deviation that Gaussians may have, in the finest
+            details that the viewer resolves there, over 0 and at most MOST_LEVEL, 1 unless given; how many
+            are drawn at most in the periphery, by higher levels all over it; and the quality in JOD against
+            the finest layer, over 0 and below 10, down to which levels rise, as far as the forest has learnt
+            that for the display.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -139,6 +143,7 @@ class FrameSettings:
     paths: Converted[Placement | str, Placement] = Converted(_placement, Placement.DISC)
     level: float | None = None
     gaussians: int | None = None
+    level_jod: float | None = None
 
     def __post_init__(self) -> None:
         as_plain_numbers(self)
@@ -159,6 +164,8 @@ class FrameSettings:
             raise UserError(f"level {self.level:g}: must be over 0 and at most {MOST_LEVEL:g}")
         if self.gaussians is not None and (not isinstance(self.gaussians, int) or self.gaussians < 1):
             raise UserError(f"gaussians {self.gaussians}: must be a whole number, 1 or more")
+        if self.level_jod is not None and not 0 < self.level_jod < _BEST_JOD:
+            raise UserError(f"level_jod {self.level_jod:g}: must be over 0 and below {_BEST_JOD:g}")
         if unknown := [name for name in self.aovs if name not in EXTRA_AOVS]:
             raise UserError(f"aovs {unknown[0]}: must be of {', '.join(EXTRA_AOVS)}")
 
@@ -183,7 +190,7 @@ class FrameSettings:
     @property
     def is_continuous(self) -> bool:
         """Whether levels of detail are continuous."""
-        return self.level is not None or self.gaussians is not None
+        return any(one is not None for one in (self.level, self.gaussians, self.level_jod))
 
     @property
     def traces_cells(self) -> bool:

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS, COARSEST_RATE
-from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, detail_map, saliency
+from compose.eye.detail import CELL, DetailMap, Lattice, LayerRange, at_corners, detail_map, saliency
 from compose.fovea.cells import CellRegion
 from compose.fovea.foveation import FoveaRegion
 from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.level_quality import LevelQuality, quality_of, weights_at
 from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer, finest_frequency
 from splat.lod.layer_images import CONTINUOUS, LayerImage, SplatImage, Under, touched_corners
 from splat.model.forest import Forest
 from splat.model.points import Bits
+from splat.raster.cut import greatest_factor
 from splat.raster.tiles import TILE
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
 
 # Side in pixels of the coarse image in which saliency is computed.
 _COARSE = 64
@@ -31,6 +37,8 @@ _SHARE = 0.9
 _COARSEST_CUTOFF = 1 / 256
 # Pixels: a continuous level of detail at which only the smallest Gaussians are drawn.
 _FINEST_LEVEL = 1e-4
+# In the finest details that are resolved: levels from which those of a quality rise.
+_LEAST_LEVEL = 0.1
 
 
 class _Kept(NamedTuple):
@@ -103,8 +111,10 @@ class Periphery:
     """Draws the periphery of frames with one forest, and keeps what depends on the camera alone."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
-        self.forest = forest
+        self.forest, self._arrays = forest, arrays
         self._renderer = ForestRenderer(arrays, forest)
+        # What nodes make visible, as it was learnt and on the device.
+        self._visibility: tuple[torch.Tensor, Float] | None = None
         self._saliency = ViewSaliency(self._renderer, forest)
         # What the layers of the last still view were drawn for; their images; the finest one as a whole.
         self._kept: tuple[tuple[object, ...], CachedLayerImages, SplatImage] | None = None
@@ -191,16 +201,47 @@ class Periphery:
         tiles = region.peripheral_tiles(TILE)
         return self._renderer.render(camera, images, detail.low_pass, tiles, under, levels)
 
-    def _levels(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> NDArray[np.float32]:
+    def _levels(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> Lattice:
         """(rows + 1, columns + 1) continuous levels of detail at the corners of cells, in pixels."""
         if settings.layers is not None:
             raise UserError(f"layers {settings.layers}: continuous levels of detail have none; leave out one")
         if self.forest.motion is not None or self.forest.light is not None:
-            raise UserError(f"level, gaussians: something moves in the forest of {self.forest.scene_name}")
-        levels = continuous_levels(settings.level or 1.0, detail.cutoff)
+            name = self.forest.scene_name
+            raise UserError(f"level, gaussians, level_jod: something moves in the forest of {name}")
+        usual = 1.0 if settings.level_jod is None else _LEAST_LEVEL
+        levels, factor = continuous_levels(settings.level or usual, detail.cutoff), 1.0
+        if settings.level_jod is not None:
+            quality = self._quality_for(settings)
+            sums = self.visible(camera, detail, levels, quality)
+            factor = greatest_factor(sums, quality.most(settings.level_jod))
         if settings.gaussians is not None:
-            levels *= np.float32(self._renderer.least_factor(camera, levels, settings.gaussians))
-        return levels
+            factor = max(factor, self._renderer.least_factor(camera, levels, settings.gaussians))
+        return levels * np.float32(factor)
+
+    def _quality_for(self, settings: FrameSettings) -> LevelQuality:
+        quality = quality_of(self.forest)
+        if quality is None:
+            raise UserError(
+                f"level_jod: the forest of {self.forest.scene_name} does not know how good its levels look; "
+                "run hybrid levels, with FovVideoVDP installed"
+            )
+        if quality.display != settings.display:
+            raise UserError(
+                f"level_jod: the levels were judged for {quality.display}; "
+                f"run hybrid levels for {settings.display}"
+            )
+        return quality
+
+    def visible(
+        self, camera: Camera, detail: DetailMap, levels: Lattice, quality: LevelQuality
+    ) -> NDArray[np.float64]:
+        """What a viewer sees of continuous levels, per pixel, at each step of their factor."""
+        if self._visibility is None or self._visibility[0] is not quality.visibility:
+            values = np.append(np.zeros(len(self.forest.finest), np.float32), quality.visibility.numpy())
+            self._visibility = quality.visibility, uploaded(self._arrays.plain.Float, values)
+        weights = weights_at(detail.eccentricity)
+        sums = self._renderer.differences(camera, levels, self._visibility[1], weights)
+        return sums / (camera.width * camera.height)
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion | CellRegion

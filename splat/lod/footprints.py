@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
@@ -173,6 +174,12 @@ class ForestFootprints:
     def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
         """What levels are to be multiplied by, 1 or more, for at most so many nodes to be drawn."""
         return self._cut[0].least_factor(self._place.camera(camera), levels, most)
+
+    def differences(
+        self, camera: Camera, levels: Lattice, visibility: Float, weights: Lattice
+    ) -> NDArray[np.float64]:
+        """Sums of visible differences, at each step of the levels' factor, as `HierarchyCut.differences`."""
+        return self._cut[0].differences(self._place.camera(camera), levels, visibility, weights)
 
     def hold_cut(self, drawn: Bits) -> None:
         """Draws no other nodes of the hierarchy than these (N + M,), whatever levels ask for."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen, capacity
@@ -117,6 +118,12 @@ class ForestRenderer:
     def least_factor(self, camera: Camera, levels: Lattice, most: int) -> float:
         """What continuous levels must be multiplied by, 1 or more, for at most so many nodes to be drawn."""
         return self._footprints.least_factor(camera, levels, most)
+
+    def differences(
+        self, camera: Camera, levels: Lattice, visibility: Float, weights: Lattice
+    ) -> NDArray[np.float64]:
+        """Sums of visible differences, at each step of the levels' factor (`splat.raster.cut`)."""
+        return self._footprints.differences(camera, levels, visibility, weights)
 
     def hold_cut(self, drawn: Bits) -> None:
         """Draws no other nodes of the hierarchy than these (N + M,), whatever levels ask for."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from splat.raster.projection import Position
 
 Lattice = NDArray[np.float32]
+Number = TypeVar("Number", "Int", "Float")
 # A node and its parent: centres, sizes, standard deviations along the longest axes, and how far from their
 # centres those of what is below them lie. Four floats are spare.
 _BOUNDS = RecordLayout(
@@ -172,12 +173,39 @@ class HierarchyCut:
             step -= float(most - fewer) / float(more - fewer)
         return float(2 ** (step / _STEPS))
 
+    def differences(
+        self, camera: Camera, levels: Lattice, visibility: Float, weights: Lattice
+    ) -> NDArray[np.float64]:
+        """Sums of the visible differences of the nodes that are drawn, at each step of the levels' factor.
+
+        Args:
+            camera, levels: as of `nodes`.
+            visibility: (N + M,) of each node, 0 or more, what it makes visible where its extent is one pixel;
+                that grows with the fourth power of its extent.
+            weights: (rows + 1, columns + 1) over 0, what that counts at the corners of cells.
+        """
+        if not self._count:
+            return np.zeros(_STEPS * _MOST_OCTAVES + 1)
+        table = LevelTable.of(self._arrays, weights)
+        changes = _differences(self._arrays, self._view(camera, levels, blur=1.0), visibility, table)
+        # Levels that are higher never show less: what seems to is of the last digits.
+        return np.maximum.accumulate(np.cumsum(changes.numpy(), dtype=np.float64))
+
     def _view(self, camera: Camera, levels: Lattice, blur: float) -> NodesInView:
         arrays = self._arrays
         view, lattice = camera_numbers(arrays, camera, self._blending), LevelTable.of(arrays, levels)
         low_pass = arrays.plain.Float(PIXEL_FILTER * blur**2)
         dr.make_opaque(low_pass)
         return NodesInView(self._bounds, self._count, self._leaves, view, low_pass, lattice)
+
+
+def greatest_factor(sums: NDArray[np.float64], most: float) -> float:
+    """What levels may be multiplied by, 1 or more, for `HierarchyCut.differences` of at most so much."""
+    step = max(1, int(np.searchsorted(sums, most, "right"))) - 1
+    between = 0.0
+    if step + 1 < len(sums) and sums[step] <= most:
+        between = (most - sums[step]) / (sums[step + 1] - sums[step])
+    return float(2 ** ((step + between) / _STEPS))
 
 
 def octaves_too_large(arrays: Arrays, nodes: NodesInView) -> tuple[Float, Float, Bool, Bool]:
@@ -233,17 +261,36 @@ def changes_of_count(arrays: Arrays, nodes: NodesInView) -> Int:
 
     The first step is the factor 1.
     """
-    Int, UInt = arrays.plain.Int, arrays.plain.UInt
+    return _changes_of(arrays, nodes, arrays.plain.Int(1))
+
+
+def changes_of_difference(
+    arrays: Arrays, nodes: NodesInView, visibility: Float, weights: LevelTable
+) -> Float:
+    """The same of what `HierarchyCut.differences` sums up."""
+    node, view = dr.arange(arrays.plain.UInt, nodes.count), nodes.view
+    bound = nodes.bounds.at(node)
+    _, x, y, _ = view_position(bound.mean, view)
+    ahead = dr.maximum(distance(bound.mean, view) - bound.radius, NEAR)
+    seen = bound.extent * dr.maximum(*view.focal) / ahead
+    weight = dr.exp2(weights.octaves(arrays, x, y))
+    value = dr.gather(arrays.plain.Float, visibility, node) * dr.square(dr.square(seen)) * weight
+    return _changes_of(arrays, nodes, value)
+
+
+def _changes_of(arrays: Arrays, nodes: NodesInView, value: Number) -> Number:
+    """The changes of a sum of values of the nodes that are drawn, one or (N + M,)."""
     below, above, shows, _ = octaves_too_large(arrays, nodes)
-    changes = dr.zeros(Int, _STEPS * _MOST_OCTAVES + 1)
+    changes = dr.zeros(type(value), _STEPS * _MOST_OCTAVES + 1)
     shown = shows & (above > 0) & (below < above)
-    for octaves, change in ((below, 1), (above, -1)):
+    for octaves, change in ((below, value), (above, -value)):
         step = dr.ceil(dr.clip(octaves, 0, _MOST_OCTAVES) * _STEPS)
-        dr.scatter_add(changes, Int(change), UInt(step), shown & (octaves <= _MOST_OCTAVES))
+        dr.scatter_add(changes, change, arrays.plain.UInt(step), shown & (octaves <= _MOST_OCTAVES))
     return changes
 
 
 _drawn, _changes = Frozen(drawn_nodes, by_size=True), Frozen(changes_of_count, by_size=True)
+_differences = Frozen(changes_of_difference, by_size=True)
 
 
 def turned_footprints(own: Footprints, parent: Footprints, turned: Turned) -> Footprints:

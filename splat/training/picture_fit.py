@@ -47,8 +47,10 @@ _VIEWS, _BEYOND = 64, 0.25
 _LEAST, _MOST = 1 / 40, 0.9
 # Of as many steps as a fit has, this part measures contrasts before it, and the rest after it.
 _MEASURED_BEFORE = 4
-# Where nothing is seen of what a node hides, its squared error per pixel is this part of the usual one.
-_LEAST_DENSITY = 1e-4
+# Where nothing is seen of what a node hides, that counts as this part of what is usual.
+_LEAST_SHOWN = 1e-4
+# Of display-encoded pictures (H, W, 3) of a cut and of its leaves, (H, W).
+Difference = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 # Level in pixels that no node is smaller than, from which cuts are made coarser.
 _FINEST = 0.05
 
@@ -95,44 +97,14 @@ def fitted_for_display(
     return replace(optimizer.gaussians, blending=Blending.DISPLAY), psnr
 
 
-def fitted_hierarchy(
-    arrays: Arrays,
-    hierarchy: Hierarchy,
-    leaves: Gaussians,
-    focal: float,
-    cameras: Sequence[Camera],
-    seed: int,
-    steps: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[Hierarchy, float, float]:
-    """A hierarchy whose cuts look as its leaves do: with contrasts, and inner nodes that are fitted.
-
-    Contrasts are measured before the fit, which is then of cuts as they will be drawn, and again after it.
-
-    Args:
-        leaves: N Gaussians, on the host.
-        steps: of the fit, each of which looks at a cut; as many more measure contrasts.
-        focal, cameras, seed, progress: as for `fitted_for_display`.
-
-    Returns:
-        The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, with inner nodes as given and
-        with fitted ones, in views they were not fitted to yet. Fitted ones that are no better are left out.
-    """
-    first = steps // _MEASURED_BEFORE
-    parts = [first, steps, steps - first]
-
-    def told(part: int) -> Callable[[int, int], None]:
-        return lambda done, total: progress(sum(parts[:part]) + done, sum(parts))
-
-    views = _Views(arrays, leaves, focal, cameras)
-    hierarchy = _with_contrasts(views, hierarchy, [seed, 0], parts[0], told(0))
-    hierarchy, before, after = _with_fitted_nodes(views, hierarchy, [seed, 1], parts[1], told(1))
-    return _with_contrasts(views, hierarchy, [seed, 2], parts[2], told(2)), before, after
-
-
 @dataclass(frozen=True)
-class _Views:
-    """Parts of views in which cuts are compared with the leaves."""
+class CutViews:
+    """Parts of views in which cuts are compared with their leaves.
+
+    Attributes:
+        leaves: N Gaussians, on the host.
+        focal, cameras: as for `fitted_for_display`.
+    """
 
     arrays: Arrays
     leaves: Gaussians
@@ -146,11 +118,42 @@ class _Views:
         return camera, _low_pass(camera, self.focal), _cut_at_random(cut, camera, rng)
 
     def picture(self, gaussians: Gaussians, camera: Camera, low_pass: float) -> torch.Tensor:
+        """(H, W, 3) display-encoded picture of Gaussians."""
         return _picture(self.arrays, gaussians, camera, low_pass)
 
 
+def fitted_hierarchy(
+    views: CutViews,
+    hierarchy: Hierarchy,
+    seed: int,
+    steps: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Hierarchy, float, float]:
+    """A hierarchy whose cuts look as its leaves do: with contrasts, and inner nodes that are fitted.
+
+    Contrasts are measured before the fit, which is then of cuts as they will be drawn, and again after it.
+
+    Args:
+        steps: of the fit, each of which looks at a cut; as many more measure contrasts.
+        seed, progress: as for `fitted_for_display`.
+
+    Returns:
+        The hierarchy, and the PSNR in dB of its cuts to pictures of the leaves, with inner nodes as given and
+        with fitted ones, in views they were not fitted to yet. Fitted ones that are no better are left out.
+    """
+    first = steps // _MEASURED_BEFORE
+    parts = [first, steps, steps - first]
+
+    def told(part: int) -> Callable[[int, int], None]:
+        return lambda done, total: progress(sum(parts[:part]) + done, sum(parts))
+
+    hierarchy = _with_contrasts(views, hierarchy, [seed, 0], parts[0], told(0))
+    hierarchy, before, after = _with_fitted_nodes(views, hierarchy, [seed, 1], parts[1], told(1))
+    return _with_contrasts(views, hierarchy, [seed, 2], parts[2], told(2)), before, after
+
+
 def _with_fitted_nodes(
-    views: _Views, hierarchy: Hierarchy, seeds: list[int], steps: int, progress: Callable[[int, int], None]
+    views: CutViews, hierarchy: Hierarchy, seeds: list[int], steps: int, progress: Callable[[int, int], None]
 ) -> tuple[Hierarchy, float, float]:
     """What `fitted_hierarchy` returns, with the contrasts that the hierarchy has."""
     leaves, arrays = views.leaves, views.arrays
@@ -184,19 +187,60 @@ def _with_fitted_nodes(
 
 
 def _with_contrasts(
-    views: _Views, hierarchy: Hierarchy, seeds: list[int], steps: int, progress: Callable[[int, int], None]
+    views: CutViews, hierarchy: Hierarchy, seeds: list[int], steps: int, progress: Callable[[int, int], None]
 ) -> Hierarchy:
     """A hierarchy whose contrasts are measured in pictures of so many cuts.
 
-    The squared error of a pixel is shared among the nodes that it shows, by their weights. Cuts that levels
-    limit by extent times contrast then have nodes of about the same squared error each, so that no other cut
-    of as many nodes is closer to the leaves.
+    Cuts that levels limit by extent times contrast then have nodes of about the same squared error each, so
+    that no other cut of as many nodes is closer to the leaves.
+    """
+
+    def error(picture: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        return _squared(picture - truth).mean(dim=2)
+
+    found = _shown_by_nodes(views, hierarchy, seeds, steps, error, 2, progress).sqrt()
+    return replace(hierarchy, contrast=found if found.any() else torch.full_like(found, USUAL_CONTRAST))
+
+
+def visibility_of_nodes(
+    views: CutViews,
+    hierarchy: Hierarchy,
+    seed: int,
+    steps: int,
+    difference: Difference,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> torch.Tensor:
+    """(M,) float32, the visible differences that inner nodes make where their extent is one pixel.
+
+    They grow with its fourth power: differences of contrast do with the square of what they are, and lie in
+    as many pixels.
+
+    Args:
+        steps: of how many cuts pictures are compared.
+        difference: of pictures and those of the leaves.
+        seed, progress: as for `fitted_for_display`.
+    """
+    return _shown_by_nodes(views, hierarchy, [seed, 3], steps, difference, 4, progress)
+
+
+def _shown_by_nodes(
+    views: CutViews,
+    hierarchy: Hierarchy,
+    seeds: list[int],
+    steps: int,
+    difference: Difference,
+    power: int,
+    progress: Callable[[int, int], None],
+) -> torch.Tensor:
+    """(M,) float32, sums of differences that inner nodes make, over a power of their extents in pixels.
+
+    The difference of each pixel is shared among the nodes that it shows, by their weights.
     """
     leaves, arrays = views.leaves, views.arrays
     nodes, count = hierarchy.nodes(leaves), len(leaves)
     cut, own, every = HierarchyCut(arrays, nodes), leaves.to(arrays.device), nodes.gaussians.to(arrays.device)
     means = rows_of(nodes.gaussians.means)
-    errors, areas, seen = np.zeros((3, len(nodes.size)))
+    sums, powers, seen = np.zeros((3, len(nodes.size)))
     for step in range(steps):
         camera, low_pass, index = views.cut_at_random(cut, [*seeds, step])
         number = index.numpy()
@@ -205,16 +249,16 @@ def _with_contrasts(
         if inner.any():
             drawn = every.select(index.to(arrays.device))
             with torch.no_grad():
-                truth = views.picture(own, camera, low_pass)
-                error = _squared(views.picture(drawn, camera, low_pass) - truth).mean(dim=2)
-            shares = _shares(arrays, drawn, camera, low_pass, error).cpu().numpy()
+                pictures = (views.picture(gaussians, camera, low_pass) for gaussians in (drawn, own))
+                values = difference(*pictures)
+            shares = _shares(arrays, drawn, camera, low_pass, values).cpu().numpy()
             number, ahead = number[inner], ahead[inner]
-            errors[number] += np.maximum(shares[inner], 0)
-            areas[number] += np.square(nodes.extent[number] * max(camera.fx, camera.fy) / ahead)
+            sums[number] += np.maximum(shares[inner], 0)
+            powers[number] += (nodes.extent[number] * max(camera.fx, camera.fy) / ahead) ** power
             seen[number] += 1
         progress(step + 1, steps)
-    found = _contrasts(CutTree(nodes.parent, count), errors[count:], areas[count:], seen[count:])
-    return replace(hierarchy, contrast=torch.from_numpy(np.float32(found)))
+    tree = CutTree(nodes.parent, count)
+    return torch.from_numpy(np.float32(_over_powers(tree, sums[count:], powers[count:], seen[count:])))
 
 
 def _squared(difference: torch.Tensor) -> torch.Tensor:
@@ -235,21 +279,18 @@ def _shares(
     return gradient[0, 0] / slope
 
 
-def _contrasts(tree: CutTree, errors: Floats, areas: Floats, seen: Floats) -> Floats:
-    """(M,) contrasts of inner nodes, which showed squared errors over areas in so many views.
+def _over_powers(tree: CutTree, sums: Floats, powers: Floats, seen: Floats) -> Floats:
+    """(M,) sums of inner nodes over the powers that they belong to, which were seen so many times.
 
-    A node counts as seen once more, with the error per area of the node above it.
+    A node counts as seen once more, with what the node above it has. What has next to nothing gets a little.
     """
-    if not errors.sum():
-        return np.full(len(errors), USUAL_CONTRAST)
-    usual = errors.sum() / areas.sum()
-    weight = np.divide(areas, seen, out=np.ones_like(areas), where=seen > 0)
-    density = np.append(np.zeros(len(errors)), usual)
+    usual = sums.sum() / max(powers.sum(), 1e-30)
+    once = np.divide(powers, seen, out=np.ones_like(powers), where=seen > 0)
+    found = np.append(np.zeros(len(sums)), usual)
     for nodes in tree.by_depth:
-        above = density[tree.above[tree.leaves + nodes]]
-        density[nodes] = (errors[nodes] + weight[nodes] * above) / (areas[nodes] + weight[nodes])
-    density = np.maximum(density[:-1], _LEAST_DENSITY * usual)
-    return np.sqrt(density)
+        above = found[tree.above[tree.leaves + nodes]]
+        found[nodes] = (sums[nodes] + once[nodes] * above) / (powers[nodes] + once[nodes])
+    return np.maximum(found[:-1], _LEAST_SHOWN * usual)
 
 
 def _picture(arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float) -> torch.Tensor:

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 import torch
 
+from compose.eye.display import Display
 from compose.image.colour import srgb_from_radiance
 from hybrid.base.compute_device import device_arrays
 from hybrid.cli.exchange import export_file, import_file
+from hybrid.measure.perceptual_metrics import has_fovvideovdp
 from hybrid.render.forest_attachments import views_of
+from hybrid.render.level_quality import quality_of
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.dataset.posed_layouts import read_posed_folder
 from pathtrace.gltf import document
@@ -200,11 +203,24 @@ def test_levels_of_detail_are_fitted_and_stored(imported, made, monkeypatch, tmp
         source = tmp_path / "b.forest"
         import_file(tmp_path / "a.ply", source)
     before = source.read_bytes()
-    assert run(monkeypatch, "levels", source, "-o", own, "--steps", 40, "--json", facts) == 0
+    (tmp_path / "small.json").write_text('{"width": 64, "height": 48, "fov": 20}')
+    small = "--display", tmp_path / "small.json"
+    assert run(monkeypatch, "levels", source, "-o", own, "--steps", 40, *small, "--json", facts) == 0
     found = json.loads(facts.read_text())
     assert found["psnr"] >= found["psnr_before"] > 10
     stored = load_forest(own)
     assert len(stored.hierarchy) == found["inner"] > 0
     assert equal(stored.nodes.gaussians, load_forest(source).nodes.gaussians)
-    assert "dB from pictures of the finest layer" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "dB from pictures of the finest layer" in said
     assert source.read_bytes() == before
+    quality = quality_of(stored)
+    if has_fovvideovdp():
+        assert 0 <= found["jod_error"] < 2
+        assert f"known to {found['jod_error']:.2f} JOD" in said
+        assert quality.display == Display(64, 48, 20.0)
+        # What levels look like is no part of what the forest is.
+        assert stored.digest() == load_forest(source).digest()
+    else:
+        assert quality is None
+        assert "their quality is not known: JOD needs FovVideoVDP" in said

@@ -77,6 +77,7 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "acuity_model": "fov-gs",
         "level": None,
         "gaussians": None,
+        "level_jod": None,
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": 0,
         "filled": 0.0,

@@ -36,6 +36,7 @@ OTHERS = {
     "paths": Placement.WHERE_NEEDED,
     "level": 2.0,
     "gaussians": 1000,
+    "level_jod": 9.5,
 }
 
 
@@ -250,6 +251,9 @@ def test_numbers_of_numpy_are_numbers():
         ({"level": 101.0}, "level 101: must be"),
         ({"gaussians": 0}, "gaussians 0: must be a whole number"),
         ({"gaussians": 10.5}, "gaussians 10.5: must be a whole number"),
+        ({"level_jod": 10.0}, "level_jod 10: must be over 0 and below 10"),
+        ({"level_jod": 0.0}, "level_jod 0: must be over 0"),
+        ({"level_jod": float("nan")}, "level_jod nan: must be over 0"),
     ],
 )
 def test_levels_out_of_range_are_named(given, said):
@@ -261,3 +265,4 @@ def test_levels_are_continuous_where_they_or_a_number_are_given():
     assert not DEFAULTS.is_continuous
     assert FrameSettings(level=1.0).is_continuous
     assert FrameSettings(gaussians=5000).is_continuous
+    assert FrameSettings(level_jod=9.5).is_continuous

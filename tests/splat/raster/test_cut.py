@@ -11,7 +11,7 @@ import torch
 
 from compose.camera.camera import camera_from_pose
 from splat.model.forest import Forest
-from splat.raster.cut import CompleteCuts, HierarchyCut
+from splat.raster.cut import CompleteCuts, HierarchyCut, greatest_factor
 from tests.splat.lod.views import flat, frame_camera, overlapping_forest, ramp
 
 
@@ -21,7 +21,9 @@ def forest(request) -> Forest:
     if not request.param:
         return made
     hierarchy = made.own_hierarchy
-    contrast = torch.from_numpy(np.random.default_rng(5).lognormal(-2, 1, len(hierarchy)).astype(np.float32))
+    contrast = torch.from_numpy(
+        np.random.default_rng(5).lognormal(-4, 0.5, len(hierarchy)).astype(np.float32)
+    )
     return replace(made, hierarchy=replace(hierarchy, contrast=contrast))
 
 
@@ -144,3 +146,36 @@ def test_held_nodes_that_are_too_small_turn_into_their_parents(arrays, forest, c
     index, turned = cut.nodes(camera, flat(0.01), 1.0)
     assert (turned.share.numpy() == 0).all()
     assert len(index) == cuts.tree.roots
+
+
+def test_what_cuts_make_visible_is_summed_up_for_all_factors(arrays, forest):
+    """As in cuts of those levels, in float64; differences of what lies beside the frame do not count."""
+    camera, nodes, rng = frame_camera(), forest.hierarchy_nodes, np.random.default_rng(8)
+    cut, levels, weights = HierarchyCut(arrays, nodes), flat(0.25), ramp(0.2, 3)
+    visibility = np.float32(rng.lognormal(-8, 1, len(nodes.size)))
+    visibility[: nodes.leaves] = 0
+    sums = cut.differences(camera, levels, arrays.plain.Float(visibility), weights)
+    expected = np.zeros(321)
+    for step in range(321):
+        index = cut.nodes(camera, levels * np.float32(2 ** (step / 32)), 1.0)[0].numpy()
+        means = nodes.gaussians.means.double().numpy().T[index]
+        ahead = np.linalg.norm(means - camera.position, axis=1) - nodes.radius[index]
+        pixels, _ = camera.project(means)
+        u, v = (np.clip(pixels / 16, 0, np.array(weights.shape)[::-1] - 1.001)).T
+        column, row = u.astype(int), v.astype(int)
+        above, below = (
+            weights[r, column] * (1 - u + column) + weights[r, column + 1] * (u - column)
+            for r in (row, row + 1)
+        )
+        weight = above * (1 - v + row) + below * (v - row)
+        size = nodes.extent[index] * max(camera.fx, camera.fy) / np.maximum(ahead, 0.01)
+        values = np.where(ahead > 0.01, visibility[index] * size**4 * weight, 0)
+        expected[step] = values.sum()
+    # Parents may show less than their children do together.
+    np.testing.assert_allclose(sums, np.maximum.accumulate(expected), rtol=2e-3)
+
+
+def test_the_greatest_factor_shows_no_more_than_is_allowed():
+    sums = np.array([1.0, 1, 2, 4, 4, 8])
+    found = [32 * math.log2(greatest_factor(sums, most)) for most in (0.5, 1, 1.5, 2, 3, 4, 6, 8, 9)]
+    assert found == pytest.approx([0, 1, 1.5, 2, 2.5, 4, 4.5, 5, 5])

@@ -17,7 +17,7 @@ from splat.raster.cut import HierarchyCut
 from splat.raster.differentiable import render_differentiable
 from splat.training import picture_fit
 from splat.training.gaussian_optimizer import GaussianOptimizer
-from splat.training.picture_fit import fitted_for_display, fitted_hierarchy, views_around
+from splat.training.picture_fit import CutViews, fitted_for_display, fitted_hierarchy, views_around
 from tests.splat.raster.plain_3dgs import picture
 from tests.splat.raster.reference import double, render
 from tests.splat.samples import camera, equal, gaussians
@@ -108,7 +108,7 @@ def test_cuts_of_fitted_nodes_are_nearer_to_the_leaves(arrays, degree):
     own, told = leaves(degree), []
     hierarchy = hierarchy_of(static_layer(own))
     found, first, last = fitted_hierarchy(
-        arrays, hierarchy, own, FOCAL, VIEWS, 0, 150, lambda *done: told.append(done)
+        CutViews(arrays, own, FOCAL, VIEWS), hierarchy, 0, 150, lambda *done: told.append(done)
     )
     assert error(arrays, own, found) < 0.9 * error(arrays, own, hierarchy)
     assert last > first
@@ -122,7 +122,7 @@ def test_a_fit_of_levels_repeats_by_its_seed(arrays):
     own = leaves(0)
     hierarchy = hierarchy_of(static_layer(own))
     one, other, third = (
-        fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, seed, 60)[0] for seed in (0, 0, 1)
+        fitted_hierarchy(CutViews(arrays, own, FOCAL, VIEWS), hierarchy, seed, 60)[0] for seed in (0, 0, 1)
     )
     assert equal(one.inner, other.inner)
     assert torch.equal(one.contrast, other.contrast)
@@ -134,7 +134,7 @@ def test_nodes_that_a_fit_makes_no_better_stay(arrays, monkeypatch):
     own = leaves(0)
     hierarchy = hierarchy_of(static_layer(own))
     monkeypatch.setattr(GaussianOptimizer, "_between", lambda *given: torch.tensor(0.5))
-    found, before, after = fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, 0, 20)
+    found, before, after = fitted_hierarchy(CutViews(arrays, own, FOCAL, VIEWS), hierarchy, 0, 20)
     assert found.inner is None
     assert found.children is hierarchy.children
     assert before == after
@@ -176,7 +176,7 @@ def striped(n: int = 400) -> Gaussians:
 def test_nodes_that_hide_something_are_drawn_last(arrays):
     own = striped()
     hierarchy = hierarchy_of(static_layer(own))
-    found, _, _ = fitted_hierarchy(arrays, hierarchy, own, FOCAL, VIEWS, 0, 200)
+    found, _, _ = fitted_hierarchy(CutViews(arrays, own, FOCAL, VIEWS), hierarchy, 0, 200)
     nodes = found.nodes(own)
     x, small = nodes.gaussians.means[0, len(own) :].numpy(), nodes.extent[len(own) :] < 0.3
     grey, mixed = (np.median(found.contrast.numpy()[small & side]) for side in (x < -0.2, x > 0.2))
@@ -199,9 +199,16 @@ def test_contrasts_are_of_what_was_seen_and_of_what_lies_above():
         above = density[int(tree.above[200 + node])]
         density[node] = (errors[node] + once * above) / (areas[node] + once)
     expected = np.maximum([density[node] for node in range(count)], 1e-4 * usual)
-    found = picture_fit._contrasts(tree, errors, areas, seen)
-    np.testing.assert_allclose(found, np.sqrt(expected), rtol=1e-12)
-    assert (picture_fit._contrasts(tree, 0 * errors, areas, seen) == USUAL_CONTRAST).all()
+    found = picture_fit._over_powers(tree, errors, areas, seen)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_where_nothing_is_hidden_extents_count(arrays):
+    """Two black Gaussians in one place, in black."""
+    own = replace(leaves(0), sh=torch.full((1, 3, 200), -2.0))
+    hierarchy = hierarchy_of(static_layer(own))
+    found, _, _ = fitted_hierarchy(CutViews(arrays, own, FOCAL, VIEWS), hierarchy, 0, 8)
+    assert (found.contrast == USUAL_CONTRAST).all()
 
 
 def test_sizes_of_fitted_nodes_grow_towards_the_roots(arrays):
