@@ -2,8 +2,8 @@
 
 python -m benchmarks.levels SCENE --forest FOREST [--json FILE]
 
-Quality is that of splats alone against the finest layer at full rate, over views that nothing was fitted to,
-each with another gaze.
+`hybrid levels` has fitted the forest's levels. Quality is that of splats alone against the finest layer at
+full rate, over views that nothing was fitted to, each with another gaze.
 """
 
 from __future__ import annotations
@@ -27,14 +27,13 @@ from hybrid.evaluation.splat_bench import display_camera
 from hybrid.evaluation.verdicts import mean_interval
 from hybrid.measure.image_metrics import psnr
 from hybrid.measure.perceptual_metrics import jod
-from hybrid.render.forest_attachments import own_views, views_of
+from hybrid.render.forest_attachments import views_of
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
 from splat.lod.layer_images import SplatImage
 from splat.model.forest import Forest
-from splat.training.picture_fit import CutViews, fitted_hierarchy
 
-_STEPS, _REPEATS, _VIEWS = 2000, 9, 8
+_REPEATS, _VIEWS = 9, 8
 # Standard deviations, in degrees of views from those of the training, and of gazes in parts of the frame.
 _TURN, _GAZE = 12.0, 0.15
 # Units of the scene that the camera moves per frame: enough to make it another one.
@@ -47,16 +46,12 @@ _OURS, _EXTENTS, _ALIKE = "continuous", "continuous, by extent alone", "continuo
 
 
 def measured(scene_name: str, file: Path) -> dict[str, Any]:
-    """Qualities by display, number of Gaussians and method; times; and what the fit brought."""
+    """Qualities by display, number of Gaussians and method, and times."""
     forest, scene = hybrid.load_forest(file), hybrid.load_scene(scene_name)
-    start = time.perf_counter()
-    views = CutViews(device_arrays(), forest.finest, forest.trained_focal, own_views(forest))
-    fitted, before, after = fitted_hierarchy(views, forest.own_hierarchy, 0, _STEPS)
-    seconds = time.perf_counter() - start
-    forest = replace(forest, hierarchy=fitted)
+    by_extent = replace(forest.own_hierarchy, contrast=None)
     methods = {
         _OURS: Periphery(device_arrays(), forest),
-        _EXTENTS: Periphery(device_arrays(), replace(forest, hierarchy=replace(fitted, contrast=None))),
+        _EXTENTS: Periphery(device_arrays(), replace(forest, hierarchy=by_extent)),
     }
     qualities = []
     for name, display in DISPLAYS.items():
@@ -70,8 +65,7 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
             for (against, method), rows in found.items()
         ]
     times = _times(methods[_OURS], display_camera(scene.camera, _SPLATS.display))
-    fit = {"fit_seconds": seconds, "steps": _STEPS, "before_db": before, "after_db": after}
-    return {"scene": scene_name, "views": _VIEWS, "qualities": qualities, "times": times, **fit}
+    return {"scene": scene_name, "views": _VIEWS, "qualities": qualities, "times": times}
 
 
 def _views(forest: Forest, like: Camera) -> Iterator[tuple[Camera, Gaze]]:

@@ -34,6 +34,10 @@ _PLACED = {
     **{name: (f"{name}/scene.xml", name) for name in SCENES},
 }
 _PATHS = "hybrid sweep {0} --over paths --size 640 480 --repeats 9 --forest {1}.forest"
+_LEVELS = {
+    "fit": "hybrid levels {1}.forest -o {1}-levels.forest",
+    "levels": "python -m benchmarks.levels {0} --forest {1}-levels.forest",
+}
 # Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
 # folder; STAIRCASE stands for the scene file of staircase2, VISION for the folder of data about people's
 # vision; the scenes of `benchmarks.hard_scenes` lie in the working folder as well.
@@ -51,9 +55,9 @@ MEASUREMENTS = {
     "evaluation": f"python -m benchmarks.evaluations room --quick {_FRAMES}",
     "periphery": f"hybrid bench periphery room {_FRAMES}",
     **{
-        f"levels-{name}": f"python -m benchmarks.levels {scene} --forest {forest}.forest"
-        for name, (scene, forest) in _PLACED.items()
-        if name in ("room", "staircase2", "gantry", "workshop")
+        f"{kind}-{name}": command.format(*_PLACED[name])
+        for name in ("room", "staircase2", "gantry", "workshop")
+        for kind, command in _LEVELS.items()
     },
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
     "late-warp": f"python -m benchmarks.late_warp room {_FRAMES}",

@@ -147,7 +147,11 @@ MISTAKES = {
     "levels of no forest": (["levels", "{tmp}/corrupt"], "corrupt"),
     "layers and none": (
         ["render", "cornell", "--layers", "1", "2", "--level", "2", "-o", "{tmp}/a.png"],
-        "--layers: --level and --gaussians draw no layers",
+        "--layers: --level, --gaussians and --level-jod draw no layers",
+    ),
+    "a quality that there is not": (
+        ["render", "cornell", "--level-jod", "10", "-o", "{tmp}/a.png"],
+        "level_jod 10: must be over 0 and below 10",
     ),
     "levels that no target was measured with": (
         ["render", "cornell", "--gaussians", "5000", "--target-ms", "50", "-o", "{tmp}/a.png"],
@@ -155,7 +159,7 @@ MISTAKES = {
     ),
     "levels that a target would choose": (
         ["demo", "cornell", "--target", "30", "--level", "2"],
-        "--target: chooses layers; leave out --level and --gaussians",
+        "--target: chooses layers; leave out --level, --gaussians and --level-jod",
     ),
     "paths in an unknown place": (
         ["render", "cornell", "--paths", "everywhere", "-o", "{tmp}/a.png"],

@@ -246,5 +246,5 @@ def test_continuous_levels_have_no_layers(periphery, camera):
 def test_what_moves_has_no_continuous_levels(arrays, forest, camera):
     light = LightCourse(torch.tensor([0]), torch.ones(2, 3, 1).half())
     lit = Periphery(arrays, replace(forest, light=light))
-    with pytest.raises(UserError, match="level, gaussians: something moves in the forest of"):
+    with pytest.raises(UserError, match="level, gaussians, level_jod: something moves in the forest of"):
         lit.detail(camera, FINEST)
