@@ -245,7 +245,7 @@ def levels() -> str:
         "{scene} {psnr_before:.1f} to {psnr:.1f} dB and {jod_error:.2f} JOD, in {seconds:.0f} s".format(**fit)
         for fit in fits
     )
-    text = f"Fits of inner nodes, and mean error of the quality that is learnt, in views that were left out: {below}."
+    text = f"Fits of inner nodes, and mean error of learnt quality, in views that were left out: {below}."
     return _table(header, _rows(form, rows), *(f"levels-{name}" for name in _LEVELS), below=text)
 
 

@@ -166,7 +166,7 @@ def levels(
         cuts = CutViews(device_arrays(), finest.gaussians, focal, views)
         fitted = fitted_hierarchy(cuts, hierarchy, seed, steps, bar)
     hierarchy, first, last = fitted
-    forest, error = replace(forest, hierarchy=hierarchy), None
+    forest, error = attach_quality(replace(forest, hierarchy=hierarchy), None), None
     if has_fovvideovdp():
         with progress_bar("quality of levels (pictures)") as bar:
             quality, error = judged_quality(cuts, forest, shown, seed, -(-steps // 2), bar)

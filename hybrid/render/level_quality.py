@@ -61,8 +61,11 @@ def weights_at(eccentricity: NDArray[np.float32]) -> NDArray[np.float32]:
     return 1 / (1 + eccentricity / np.float32(_HALVED))
 
 
-def attach_quality(forest: Forest, quality: LevelQuality) -> Forest:
-    """The forest with the quality of its levels attached."""
+def attach_quality(forest: Forest, quality: LevelQuality | None) -> Forest:
+    """The forest with the quality of its levels attached; with None, without that of earlier levels."""
+    if quality is None:
+        kept = {name: t for name, t in forest.attached.items() if name not in (_VISIBILITY, _LAW)}
+        return replace(forest, attached=kept)
     law = torch.tensor([quality.scale, quality.exponent, *astuple(quality.display)], dtype=torch.float64)
     return replace(forest, attached=forest.attached | {_VISIBILITY: quality.visibility, _LAW: law})
 

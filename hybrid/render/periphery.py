@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -218,8 +219,12 @@ class Periphery:
             factor = max(factor, self._renderer.least_factor(camera, levels, settings.gaussians))
         return levels * np.float32(factor)
 
+    @cached_property
+    def _quality(self) -> LevelQuality | None:
+        return quality_of(self.forest)
+
     def _quality_for(self, settings: FrameSettings) -> LevelQuality:
-        quality = quality_of(self.forest)
+        quality = self._quality
         if quality is None:
             raise UserError(
                 f"level_jod: the forest of {self.forest.scene_name} does not know how good its levels look; "

@@ -59,6 +59,8 @@ _ENDLESS = 1e30
 # Share of the way from the level at which a node appears to that at which it disappears, on a logarithmic
 # scale, over which it turns into its parent. Until then it is drawn as it is.
 _FADE = 0.3
+# Pixels beyond which an extent counts no more, so that sums stay finite.
+_MOST_SEEN = 1e6
 # Steps per octave in which levels are raised to draw fewer nodes, and by how many octaves at most.
 _STEPS, _MOST_OCTAVES = 32, 10
 
@@ -188,7 +190,7 @@ class HierarchyCut:
             return np.zeros(_STEPS * _MOST_OCTAVES + 1)
         table = LevelTable.of(self._arrays, weights)
         changes = _differences(self._arrays, self._view(camera, levels, blur=1.0), visibility, table)
-        # Levels that are higher never show less: what seems to is of the last digits.
+        # Where parents show less than their children do together, higher levels count as no better.
         return np.maximum.accumulate(np.cumsum(changes.numpy(), dtype=np.float64))
 
     def _view(self, camera: Camera, levels: Lattice, blur: float) -> NodesInView:
@@ -272,7 +274,7 @@ def changes_of_difference(
     bound = nodes.bounds.at(node)
     _, x, y, _ = view_position(bound.mean, view)
     ahead = dr.maximum(distance(bound.mean, view) - bound.radius, NEAR)
-    seen = bound.extent * dr.maximum(*view.focal) / ahead
+    seen = dr.minimum(bound.extent * dr.maximum(*view.focal) / ahead, _MOST_SEEN)
     weight = dr.exp2(weights.octaves(arrays, x, y))
     value = dr.gather(arrays.plain.Float, visibility, node) * dr.square(dr.square(seen)) * weight
     return _changes_of(arrays, nodes, value)

@@ -49,6 +49,18 @@ def test_what_a_forest_has_learnt_comes_back(forest, tmp_path):
     assert torch.equal(back.visibility, own.visibility)
     assert (back.scale, back.exponent, back.display) == (2.0, 0.4, DISPLAYS["desktop"])
     assert quality_of(overlapping_forest()) is None
+    assert quality_of(attach_quality(forest, None)) is None
+
+
+@pytest.mark.parametrize("focal", [1e-30, 1e30])
+@pytest.mark.parametrize("scale", [0.0, 1e-30, 1e30])
+def test_any_camera_and_law_make_levels(arrays, forest, focal, scale):
+    camera, quality = frame_camera(), quality_of(forest)
+    periphery = Periphery(arrays, attach_quality(forest, replace(quality, scale=scale)))
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] = 1e300
+    for extreme in (replace(camera, fx=focal, fy=focal), replace(camera, world_to_camera=pose)):
+        assert np.isfinite(periphery.detail(extreme, SETTINGS).levels).all()
 
 
 @pytest.mark.parametrize(
