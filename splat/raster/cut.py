@@ -282,12 +282,15 @@ def changes_of_difference(
 
 def _changes_of(arrays: Arrays, nodes: NodesInView, value: Number) -> Number:
     """The changes of a sum of values of the nodes that are drawn, one or (N + M,)."""
-    below, above, shows, _ = octaves_too_large(arrays, nodes)
+    below, above, shows, parent_shows = octaves_too_large(arrays, nodes)
     changes = dr.zeros(type(value), _STEPS * _MOST_OCTAVES + 1)
-    shown = shows & (above > 0) & (below < above)
-    for octaves, change in ((below, value), (above, -value)):
-        step = dr.ceil(dr.clip(octaves, 0, _MOST_OCTAVES) * _STEPS)
-        dr.scatter_add(changes, change, arrays.plain.UInt(step), shown & (octaves <= _MOST_OCTAVES))
+    # From there on, nodes turn into their parents.
+    turning = dr.select(above < np.inf, dr.fma(1 - _FADE, above - below, below), above)
+    for start, end, visible in ((below, turning, shows), (turning, above, parent_shows)):
+        shown = visible & (end > 0) & (start < end)
+        for octaves, change in ((start, value), (end, -value)):
+            step = dr.ceil(dr.clip(octaves, 0, _MOST_OCTAVES) * _STEPS)
+            dr.scatter_add(changes, change, arrays.plain.UInt(step), shown & (octaves <= _MOST_OCTAVES))
     return changes
 
 
