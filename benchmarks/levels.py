@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ _TURN, _GAZE = 12.0, 0.15
 _STEP = 1e-4
 # Gaussians that are drawn, as parts of those that a view shows.
 _SHARES = (0.2, 0.5)
+# Qualities that are asked for, in JOD.
+_ASKED = (8.5, 9.0, 9.5, 9.8)
 # Nothing is path-traced.
 _SPLATS = FrameSettings(fov_a=0.0, fov_b=0.0, fill=False)
 _OURS, _EXTENTS, _ALIKE = "continuous", "continuous, by extent alone", "continuous, alike everywhere"
@@ -53,7 +56,7 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
         _OURS: Periphery(device_arrays(), forest),
         _EXTENTS: Periphery(device_arrays(), replace(forest, hierarchy=by_extent)),
     }
-    qualities = []
+    qualities, own = [], list(_views(forest, display_camera(scene.camera, _SPLATS.display)))
     for name, display in DISPLAYS.items():
         found: dict[tuple[str, str], list[dict[str, float]]] = {}
         settings = replace(_SPLATS, display=display)
@@ -65,7 +68,8 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
             for (against, method), rows in found.items()
         ]
     times = _times(methods[_OURS], display_camera(scene.camera, _SPLATS.display))
-    return {"scene": scene_name, "views": _VIEWS, "qualities": qualities, "times": times}
+    asked = [_given(methods[_OURS], own, asked) for asked in _ASKED]
+    return {"scene": scene_name, "views": _VIEWS, "qualities": qualities, "asked": asked, "times": times}
 
 
 def _views(forest: Forest, like: Camera) -> Iterator[tuple[Camera, Gaze]]:
@@ -77,37 +81,50 @@ def _views(forest: Forest, like: Camera) -> Iterator[tuple[Camera, Gaze]]:
         yield like.at(pose), Gaze(*np.clip(0.5 + _GAZE * rng.normal(size=2), 0, 1).tolist())
 
 
+def _given(periphery: Periphery, views: list[tuple[Camera, Gaze]], asked: float) -> dict[str, float]:
+    """What is drawn for a quality: Gaussians, its quality, and how far that is off, over the views."""
+    rows = [
+        _quality(
+            periphery, view, replace(_SPLATS, gaze=gaze, level_jod=asked), periphery.whole(view, _SPLATS)
+        )
+        for view, gaze in views
+    ]
+    off = float(np.mean([abs(row["jod"] - asked) for row in rows]))
+    means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    return {"asked": asked, **means, "least": min(row["jod"] for row in rows), "off": off}
+
+
+def _quality(
+    periphery: Periphery, view: Camera, settings: FrameSettings, whole: SplatImage
+) -> dict[str, float]:
+    """Number of Gaussians, PSNR and JOD against the finest layer."""
+    region = settings.foveation.region(view.width, view.height)
+    drawn = periphery.draw(view, periphery.detail(view, settings), region)
+    image, truth = drawn.numpy(), whole.numpy()
+    quality = jod(image, truth, settings.display, settings.gaze)
+    assert quality is not None, "FovVideoVDP is not installed"
+    return {"nodes": drawn.nodes, "psnr": psnr(image, truth), "jod": quality}
+
+
 def _compared(
     methods: dict[str, Periphery], view: Camera, settings: FrameSettings
 ) -> Iterator[tuple[str, str, dict[str, float]]]:
     """What as many Gaussians are as, method, and number of Gaussians, PSNR and JOD; of one view."""
     ours = methods[_OURS]
-    region = settings.foveation.region(view.width, view.height)
     whole = ours.whole(view, settings)
-    truth = whole.numpy()
-
-    def row(periphery: Periphery, settings: FrameSettings) -> dict[str, float]:
-        drawn = periphery.draw(view, periphery.detail(view, settings), region)
-        image, shown = drawn.numpy(), (settings.display, settings.gaze)
-        quality = jod(image, truth, *shown)
-        return {
-            "nodes": drawn.nodes,
-            "psnr": psnr(image, truth),
-            "jod": np.nan if quality is None else quality,
-        }
-
+    row = partial(_quality, view=view, whole=whole)
     for share in _SHARES:
         few, name = replace(settings, gaussians=round(share * whole.nodes)), f"{share:.0%}"
         for method, periphery in methods.items():
-            yield name, method, row(periphery, few)
-        yield name, _ALIKE, row(ours, replace(few, acuity_model="none"))
+            yield name, method, row(periphery, settings=few)
+        yield name, _ALIKE, row(ours, settings=replace(few, acuity_model="none"))
     layers = {f"layer {n}": replace(settings, layers=(n, n)) for n in range(1, len(ours.forest.counts))}
     if layers:
         layers["layers by zones"] = replace(settings, acuity_model="fov-gs")
     for name, chosen in layers.items():
-        of_layers = row(ours, chosen)
+        of_layers = row(ours, settings=chosen)
         yield name, name, of_layers
-        yield name, _OURS, row(ours, replace(settings, gaussians=int(of_layers["nodes"])))
+        yield name, _OURS, row(ours, settings=replace(settings, gaussians=int(of_layers["nodes"])))
 
 
 def _summary(rows: list[dict[str, float]], ours: list[dict[str, float]]) -> dict[str, Any]:

@@ -249,6 +249,14 @@ def levels() -> str:
     return _table(header, _rows(form, rows), *(f"levels-{name}" for name in _LEVELS), below=text)
 
 
+def level_qualities() -> str:
+    """Qualities that are asked for, and what is drawn for them."""
+    rows = [row | {"scene": name} for name in _LEVELS for row in result(f"levels-{name}")["asked"]]
+    form = "{scene} | {asked:.1f} | {jod:.2f} | {least:.2f} | {off:.2f} | {nodes:,.0f}"
+    header = "scene | asked for, JOD | mean | least of the views | mean error | Gaussians"
+    return _table(header, _rows(form, rows), *(f"levels-{name}" for name in _LEVELS))
+
+
 def level_times() -> str:
     """Time of continuous levels of detail and of layers."""
     lines = _rows("{method} | {nodes:,} | {ms:.1f}", result("levels-room")["times"])
