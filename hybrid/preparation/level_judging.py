@@ -95,10 +95,8 @@ def _judged(
         camera = display.viewer(display.width, display.height).at(pose)
         gaze = Gaze(*np.clip(0.5 + _GAZE * rng.normal(size=2), 0, 1).tolist())
         settings = FrameSettings(gaze, fov_a=0.0, fov_b=0.0, display=display)
-        region, whole = (
-            settings.foveation.region(camera.width, camera.height),
-            periphery.whole(camera, settings),
-        )
+        region = settings.foveation.region(camera.width, camera.height)
+        whole = periphery.whole(camera, settings)
         for share in _SHARES:
             few = replace(settings, gaussians=max(1, round(share * whole.nodes)))
             detail = periphery.detail(camera, few)
