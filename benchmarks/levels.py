@@ -69,7 +69,7 @@ def measured(scene_name: str, file: Path) -> dict[str, Any]:
         ]
     times = _times(methods[_OURS], display_camera(scene.camera, _SPLATS.display))
     asked = [_given(methods[_OURS], own, asked) for asked in _ASKED]
-    return {"scene": scene_name, "views": _VIEWS, "qualities": qualities, "asked": asked, "times": times}
+    return {"scene": scene.name, "views": _VIEWS, "qualities": qualities, "asked": asked, "times": times}
 
 
 def _views(forest: Forest, like: Camera) -> Iterator[tuple[Camera, Gaze]]:
