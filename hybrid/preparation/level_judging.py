@@ -14,8 +14,8 @@ from compose.camera.coordinate_systems import WORLD
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.measure.perceptual_metrics import difference_map, jod
-from hybrid.render.frame_settings import FrameSettings
-from hybrid.render.level_quality import BEST, LevelQuality
+from hybrid.render.frame_settings import BEST_JOD, FrameSettings
+from hybrid.render.level_quality import LevelQuality
 from hybrid.render.periphery import Periphery
 from splat.model.forest import Forest
 from splat.training.picture_fit import CutViews, visibility_of_nodes
@@ -104,7 +104,7 @@ def _judged(
             given = jod(image, truth, display, gaze)
             assert detail.levels is not None, "levels are continuous"
             visible = float(periphery.visible(camera, detail, detail.levels, quality)[0])
-            yield Judged(view, visible, BEST if given is None else given)
+            yield Judged(view, visible, BEST_JOD if given is None else given)
 
 
 def _counts(row: Judged) -> bool:
@@ -113,12 +113,12 @@ def _counts(row: Judged) -> bool:
 
 def _law(rows: list[Judged]) -> tuple[float, float]:
     """Scale and exponent, by least squares of logarithms; a scale of 0 if nothing can be seen."""
-    seen = [row for row in rows if row.jod < BEST and row.visible > 0]
+    seen = [row for row in rows if row.jod < BEST_JOD and row.visible > 0]
     some = [row for row in seen if _counts(row)] or seen
     if not some:
         return 0.0, _USUAL_EXPONENT
     visible, lost = (
-        np.log(values) for values in zip(*((row.visible, BEST - row.jod) for row in some), strict=True)
+        np.log(values) for values in zip(*((row.visible, BEST_JOD - row.jod) for row in some), strict=True)
     )
     spread = visible - visible.mean()
     exponent = float(spread @ lost / max(spread @ spread, 1e-12))

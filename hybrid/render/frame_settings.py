@@ -44,7 +44,7 @@ MOST_SPP = 1 << 24
 # Of a continuous level of detail, as in the paper that they are from.
 MOST_LEVEL = 100.0
 # The quality of what cannot be told from the finest layer.
-_BEST_JOD = 10.0
+BEST_JOD = 10.0
 # A fused estimate of fewer is hardly better than the splats: fewer cells are traced instead.
 _LEAST_SPP_OF_CELLS = 4
 
@@ -164,8 +164,8 @@ class FrameSettings:
             raise UserError(f"level {self.level:g}: must be over 0 and at most {MOST_LEVEL:g}")
         if self.gaussians is not None and (not isinstance(self.gaussians, int) or self.gaussians < 1):
             raise UserError(f"gaussians {self.gaussians}: must be a whole number, 1 or more")
-        if self.level_jod is not None and not 0 < self.level_jod < _BEST_JOD:
-            raise UserError(f"level_jod {self.level_jod:g}: must be over 0 and below {_BEST_JOD:g}")
+        if self.level_jod is not None and not 0 < self.level_jod < BEST_JOD:
+            raise UserError(f"level_jod {self.level_jod:g}: must be over 0 and below {BEST_JOD:g}")
         if unknown := [name for name in self.aovs if name not in EXTRA_AOVS]:
             raise UserError(f"aovs {unknown[0]}: must be of {', '.join(EXTRA_AOVS)}")
 

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.eye.display import Display
+from hybrid.render.frame_settings import BEST_JOD
 from splat.model.forest import ABOUT, Forest
 
 # Names of what is attached.
 _VISIBILITY, _LAW = ABOUT + "levels.visibility", ABOUT + "levels.law"
-# The best quality there is.
-BEST = 10.0
 # Degrees at which visible differences count half.
 _HALVED = 3.0
 
@@ -47,13 +46,13 @@ class LevelQuality:
 
     def jod(self, visible: float) -> float:
         """Quality where so much is visible per pixel."""
-        return BEST - self.scale * visible**self.exponent
+        return BEST_JOD - self.scale * visible**self.exponent
 
     def most(self, jod: float) -> float:
         """What may be visible per pixel for a quality."""
         if not self.scale:
             return math.inf
-        return float(((BEST - jod) / self.scale) ** (1 / self.exponent))
+        return float(((BEST_JOD - jod) / self.scale) ** (1 / self.exponent))
 
 
 def weights_at(eccentricity: NDArray[np.float32]) -> NDArray[np.float32]:

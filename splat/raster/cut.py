@@ -40,12 +40,12 @@ from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import between_corners
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Bool, Float, Int, UInt
+    from drjit.auto.ad import Bool, Float, Float64, Int, UInt
 
     from splat.raster.projection import Position
 
 Lattice = NDArray[np.float32]
-Number = TypeVar("Number", "Int", "Float")
+Number = TypeVar("Number", "Int", "Float64")
 # A node and its parent: centres, sizes, standard deviations along the longest axes, and how far from their
 # centres those of what is below them lie. Four floats are spare.
 _BOUNDS = RecordLayout(
@@ -81,10 +81,14 @@ class LevelTable:
         rows, columns = map(arrays.constant, levels.shape)
         return LevelTable(uploaded(arrays.plain.Float, padded), (rows, columns))
 
+    def at(self, arrays: Arrays, x: Float, y: Float) -> Float:
+        """The levels at positions in pixels, constant beyond the frame."""
+        corner = lambda index: dr.gather(arrays.plain.Float, self.values, index)  # noqa: E731
+        return between_corners(arrays, corner, 0, self.size, x, y)
+
     def octaves(self, arrays: Arrays, x: Float, y: Float) -> Float:
-        """Binary logarithms of the levels at positions in pixels, constant beyond the frame."""
-        at = lambda corner: dr.gather(arrays.plain.Float, self.values, corner)  # noqa: E731
-        return dr.log2(between_corners(arrays, at, 0, self.size, x, y))
+        """Their binary logarithms."""
+        return dr.log2(self.at(arrays, x, y))
 
 
 @dataclass(frozen=True)
@@ -191,7 +195,8 @@ class HierarchyCut:
         table = LevelTable.of(self._arrays, weights)
         changes = _differences(self._arrays, self._view(camera, levels, blur=1.0), visibility, table)
         # Where parents show less than their children do together, higher levels count as no better.
-        return np.maximum.accumulate(np.cumsum(changes.numpy(), dtype=np.float64))
+        sums = np.float32(np.cumsum(changes.numpy()))
+        return np.maximum.accumulate(sums.astype(np.float64))
 
     def _view(self, camera: Camera, levels: Lattice, blur: float) -> NodesInView:
         arrays = self._arrays
@@ -268,15 +273,16 @@ def changes_of_count(arrays: Arrays, nodes: NodesInView) -> Int:
 
 def changes_of_difference(
     arrays: Arrays, nodes: NodesInView, visibility: Float, weights: LevelTable
-) -> Float:
+) -> Float64:
     """The same of what `HierarchyCut.differences` sums up."""
     node, view = dr.arange(arrays.plain.UInt, nodes.count), nodes.view
     bound = nodes.bounds.at(node)
     _, x, y, _ = view_position(bound.mean, view)
     ahead = dr.maximum(distance(bound.mean, view) - bound.radius, NEAR)
     seen = dr.minimum(bound.extent * dr.maximum(*view.focal) / ahead, _MOST_SEEN)
-    weight = dr.exp2(weights.octaves(arrays, x, y))
-    value = dr.gather(arrays.plain.Float, visibility, node) * dr.square(dr.square(seen)) * weight
+    shown = dr.gather(arrays.plain.Float, visibility, node) * weights.at(arrays, x, y)
+    # Threads add up in any order, which must not show.
+    value = arrays.plain.Float64(shown * dr.square(dr.square(seen)))
     return _changes_of(arrays, nodes, value)
 
 
