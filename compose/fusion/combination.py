@@ -11,151 +11,188 @@ estimate is a mixture of the splats, as they are and as the samples correct them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import and_
+from typing import TYPE_CHECKING
 
+import drjit as dr
 import numpy as np
-import torch
-from torch import Tensor
 
-from compose.fusion.estimates import dark_of, evidence, ratio_of, relit, shares, sharpened, texture_of
-from compose.fusion.parents import (
-    PARENTS,
-    Fused,
-    Parents,
-    as_batch,
-    box_mean,
-    enlarged,
-    halved,
-    luminance,
-    padded_to_even,
-    variance_of,
-)
-from compose.image.colour import MOST, outliers
+from compose.base.arrays import constant
+from compose.base.frozen import Frozen
+from compose.fusion.estimates import Light, candidates_of, evidence, light_of, shares
+from compose.fusion.maps import Grid, among, block_means, box_mean, interpolated
+from compose.fusion.parents import PARENTS, Parents, Planes
+from compose.image.colour import LUMINANCE_WEIGHTS, outliers
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, Float64, TensorXf, UInt
 
 # Relative bias that no estimate but the traced radiance is trusted to stay below.
 _FLOOR = 0.005
 # How much wider than a normal distribution's the confidence interval around a few samples' bias may be.
 _TAILS = 20.0
-_RADIANCE = "traced", "denoised", "splat"
+
+
+@dataclass(frozen=True)
+class Fused:
+    """One estimate of radiance in N pixels, and the weights of PARENTS: three and four channels (N,).
+
+    In `excluded` pixels of the whole image a parent was left out because it was negative, not finite, or out
+    of proportion to its neighbours and to the other parents (compose.image.colour).
+    """
+
+    radiance: list[Float]
+    weights: list[Float]
+    excluded: int
 
 
 class Fusion:
-    """The fusion of a view's parents, in two steps, since what its splats are relit by is denoised between.
-
-    Attributes:
-        ratio: (1, 3, h, w), of samples and splats at half the resolution, with the samples' noise.
-    """
+    """The fusion of a view's parents, in two steps, since what its splats are relit by is denoised between."""
 
     def __init__(self, parents: Parents):
-        self._size, self._expected = parents.traced.shape[:2], parents.expected
-        with torch.inference_mode():
-            self._images, self._plain, self._excluded = _prepared(parents)
-            traced, splat = self._images["traced"], self._images["splat"]
-            self._dark = dark_of(traced, splat)
-            self._level = splat.mean(1, keepdim=True) + self._dark
-            self._sharp = sharpened(splat, texture_of(self._images["albedo"]), traced, self._level)
-            self.ratio = ratio_of(traced, self._sharp, self._dark)
+        self._parents, self._excluded = parents, 0
+        self._light = _light_of(parents.grids, parents.planes, parents.denoised)
+        # The one number that is waited for; a denoiser follows, which waits anyway.
+        if not np.isfinite(self._light.dark[0]):
+            self._parents, self._excluded = usable(parents)
+            self._light = _light_of(parents.grids, self._parents.planes, self._parents.denoised)
 
-    @torch.inference_mode()
-    def fused(self, smooth: Tensor) -> Fused:
-        """One estimate from all parents, and their weights; `smooth` is the denoised ratio."""
-        images, (estimate, weights) = self._images, self._mixed(smooth)
-        kept = trust(estimate, images["traced"], images["variance"], images["count"], self._plain)
-        weights = torch.cat([1 - kept, kept * weights], 1)
-        radiance = torch.lerp(images["traced"], estimate, kept)
-        return Fused(self._whole(radiance), self._whole(weights), self._excluded)
+    @property
+    def ratio(self) -> TensorXf:
+        """(h / 2, w / 2, 3), of samples and splats at half the resolution, with the samples' noise."""
+        plain, shape = self._parents.arrays.plain, [-(-side // 2) for side in self._parents.shape]
+        place = dr.arange(plain.UInt, 3 * shape[0] * shape[1])
+        return plain.TensorXf(dr.gather(plain.Float, self._light.ratio, place), (*shape, 3))
 
-    @torch.inference_mode()
-    def estimate(self, smooth: Tensor) -> Tensor:
-        """(H, W, 3) the estimate before it is drawn towards the samples; `smooth` is the denoised ratio."""
-        return self._whole(self._mixed(smooth)[0])
+    def fused(self, smooth: TensorXf, pixels: UInt) -> Fused:
+        """One estimate from all parents, in pixels (N,); `smooth` is the denoised ratio."""
+        radiance, weights = _fused(*self._given(smooth))
+        return Fused(among(radiance)(pixels), among(weights)(pixels), self._excluded)
 
-    @torch.inference_mode()
-    def candidates(self, smooth: Tensor) -> list[Tensor]:
-        """(1, 3, H, W) each: splats, relit splats and, if there are any, denoised samples."""
-        light = relit(self._sharp, smooth, self._dark)
-        return [self._sharp, light, *([self._images["denoised"]] if "denoised" in self._images else [])]
+    def estimate(self, smooth: TensorXf, pixels: UInt) -> list[Float]:
+        """Three channels (N,), before they are drawn towards the samples."""
+        return among(_mixed(*self._given(smooth))[0])(pixels)
 
-    @torch.inference_mode()
-    def evidence(self, candidates: Sequence[Tensor]) -> Tensor:
-        """What their shares depend on (compose.fusion.estimates.evidence)."""
-        return evidence(candidates, self._images, self._level, self._expected)
+    def candidates(self, smooth: TensorXf) -> tuple[list[list[Float]], list[Float]]:
+        """What is mixed, and what its shares depend on (compose.fusion.estimates)."""
+        grids, planes, light, image, denoised, expected = self._given(smooth)
+        found = candidates_of(grids, light, image, denoised)
+        return found, evidence(grids, planes, light, found, expected)
 
-    def _mixed(self, smooth: Tensor) -> tuple[Tensor, Tensor]:
-        """Radiance (1, 3, H, W), and the weights in it of all PARENTS but the first."""
-        found = self.candidates(smooth)
-        weights = shares(self.evidence(found), found[0])
-        radiance = torch.zeros_like(found[0])
-        for number, image in enumerate(found):
-            radiance += weights[:, number : number + 1] * image
-        if len(found) < len(PARENTS) - 1:
-            weights = torch.cat([weights, torch.zeros_like(weights[:, :1])], 1)
-        return radiance, weights.flip(1)
-
-    def _whole(self, image: Tensor) -> Tensor:
-        """(H, W, C) of an image whose sides are even."""
-        height, width = self._size
-        return image[0, :, :height, :width].permute(1, 2, 0)
+    def _given(self, smooth: TensorXf) -> tuple[list[Grid], Planes, Light, Float, Float | None, Float]:
+        given = self._parents
+        expected = constant(given.arrays.plain.Float, given.expected)
+        return given.grids, given.planes, self._light, smooth.array, given.denoised, expected
 
 
-def _prepared(parents: Parents) -> tuple[dict[str, Tensor], bool, int]:
-    """The parents as images (1, C, H, W) by name, both sides even.
+def mixed_radiance(
+    grids: list[Grid],
+    images: Planes,
+    light: Light,
+    smooth: Float,
+    denoised: Float | None,
+    expected: Float,
+) -> tuple[list[Float], list[Float]]:
+    """Three channels of a mixture of the candidates, and a weight of each of these."""
+    candidates = candidates_of(grids, light, smooth, denoised)
+    weights = shares(evidence(grids, images, light, candidates, expected))
+    dr.eval(weights)
+    row, column, _ = grids[0].pixels()
+    weights = interpolated(among(weights), grids[2].taps(row, column, 2))
+    pairs = [zip(weights, channel, strict=True) for channel in zip(*candidates, strict=True)]
+    radiance = [dr.sum([weight * value for weight, value in pair]) for pair in pairs]
+    dr.eval(radiance, weights)
+    return radiance, weights
 
-    Returns also whether all radiance is plain, from 0 to MOST, and in how many pixels it was replaced.
-    """
-    images = {name: as_batch(image) for name, image in parents.images().items()}
-    # The least and the largest radiance of the parents, and whether the albedo is finite: together, since a
-    # card is waited for. A number that is none is the least and the largest one, too.
-    ends = torch.aminmax(torch.cat([images[name] for name in _RADIANCE if name in images]))
-    known = torch.isfinite(images["albedo"]).all().to(ends.min.dtype)
-    least, most, finite = torch.stack([*ends, known]).tolist()
-    plain, excluded = least >= 0 and most <= MOST and finite == 1, 0
-    if not plain:
-        images, excluded = _usable(images)
-    return {name: padded_to_even(image) for name, image in images.items()}, plain, excluded
+
+def fused_radiance(
+    grids: list[Grid],
+    images: Planes,
+    light: Light,
+    smooth: Float,
+    denoised: Float | None,
+    expected: Float,
+) -> tuple[list[Float], list[Float]]:
+    """Three channels of the estimate, and the weights of PARENTS."""
+    estimate, (splat, relit, *others) = mixed_radiance(grids, images, light, smooth, denoised, expected)
+    kept = trust(grids, images, estimate)
+    grid, Float = grids[0], type(kept)
+    row, column, _ = grid.pixels()
+    traced = images.at("traced", grid.index(row, column))
+    radiance = [dr.lerp(a, b, kept) for a, b in zip(traced, estimate, strict=True)]
+    none = dr.zeros(Float, grid.lanes)
+    weights = [1 - kept, *[kept * of for of in (*others, relit, splat)]]
+    if not others:
+        weights.insert(PARENTS.index("denoised"), none)
+    dr.eval(radiance, weights)
+    return radiance, weights
 
 
-def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor, plain: bool = False) -> Tensor:
-    """(N, 1, H, W) share that an estimate of unknown bias keeps beside the unbiased one, 0..1.
+def trust(grids: list[Grid], images: Planes, estimate: list[Float]) -> Float:
+    """Share that an estimate of unknown bias, three channels, keeps beside the unbiased one, 0..1.
 
     v / (v + b^2) is the best share for independent errors of variance v and bias b. The squared bias is
     estimated over about 6 x 6 pixels and taken at the lower end of its confidence interval (two standard
     errors): noise must not count as bias. Where few samples have found light yet, both their mean and their
     variance are too small, so the relative variance of the neighbourhood counts where it is larger; and the
-    fewer the samples, the wider the interval may be. Images are (N, 3, H, W), counts (N, 1, H, W).
+    fewer the samples, the wider the interval may be. Fourth powers of radiance take float64.
     """
-    estimate, traced = _squarable(plain, estimate, traced)
-    known = torch.isfinite(variance).all(1, keepdim=True)
-    explained = torch.where(known, variance, 0).to(traced.dtype).mean(1, keepdim=True)
-    excess = ((estimate - traced) ** 2).mean(1, keepdim=True) - explained
-    level = luminance(estimate) ** 2 + 1e-8
-    maps = halved(torch.cat([excess, excess**2, explained, level], 1))
-    small, large = box_mean(maps), enlarged(box_mean(halved(halved(maps))), maps)
-    level = small[:, 3:4]
-    explained = torch.maximum(small[:, 2:3], large[:, 2:3] / large[:, 3:4] * level)
-    error = torch.sqrt(torch.maximum(variance_of(small), variance_of(large)) / 36)
-    error = torch.minimum(error, explained * (1.5 + _TAILS / torch.sqrt(halved(count))))
-    bias = torch.maximum(small[:, 0:1] - 2 * error, _FLOOR**2 * level)
-    share = explained / (explained + bias + 1e-20)
-    return torch.where(known, enlarged(share, traced), 1.0).to(variance.dtype)
+    grid, half, _, eighth = grids
+    plain = grid.arrays.plain
+    wide = plain.Float64
+
+    def moments_at(index: UInt) -> list[Float64]:
+        traced, variance = images.at("traced", index), images.at("variance", index)
+        own = among(estimate)(index)
+        known = reduce(and_, [dr.isfinite(v) for v in variance])
+        explained = dr.select(known, dr.sum([wide(v) for v in variance]) * (1 / 3), 0)
+        apart = [dr.square(wide(a) - wide(b)) for a, b in zip(own, traced, strict=True)]
+        excess = dr.sum(apart) * (1 / 3) - explained
+        light = dr.sum([weight * wide(a) for weight, a in zip(LUMINANCE_WEIGHTS, own, strict=True)])
+        return [
+            excess,
+            dr.square(excess),
+            explained,
+            dr.square(light) + 1e-8,
+            wide(images.at("count", index)[0]),
+        ]
+
+    row, column, _ = half.pixels()
+    *maps, count = block_means(moments_at, grid, row, column, 1)
+    dr.eval(maps, count)
+    row, column, _ = eighth.pixels()
+    large = block_means(among(maps), half, row, column, 2)
+    dr.eval(large)
+    large = box_mean(among(large), eighth, row, column)
+    dr.eval(large)
+    row, column, _ = half.pixels()
+    small, large = (
+        box_mean(among(maps), half, row, column),
+        interpolated(among(large), eighth.taps(row, column, 2)),
+    )
+    level = small[3]
+    explained = dr.maximum(small[2], large[2] / large[3] * level)
+    variance = dr.maximum(*[mean[1] - dr.square(mean[0]) for mean in (small, large)])
+    error = dr.sqrt(dr.maximum(variance, 0) * (1 / 36))
+    error = dr.minimum(error, explained * (1.5 + _TAILS / dr.sqrt(count)))
+    bias = dr.maximum(small[0] - 2 * error, _FLOOR**2 * level)
+    share = plain.Float(explained / (explained + bias + 1e-20))
+    dr.eval(share)
+    row, column, _ = grid.pixels()
+    known = [dr.isfinite(v) for v in images.at("variance", grid.index(row, column))]
+    kept = interpolated(among([share]), half.taps(row, column, 1))[0]
+    return dr.select(reduce(and_, known), kept, 1)
 
 
-def _squarable(plain: bool, *images: Tensor) -> tuple[Tensor, ...]:
-    """Images of radiance in a type that holds their fourth powers: float32 ends at those of 4e9.
-
-    They are looked at, which waits for a card, unless they are `plain`: made of parents of at most MOST.
-    """
-    if plain:
-        return images
-    ends = [end for image in images for end in torch.aminmax(image)]
-    wide = max(abs(float(end)) for end in ends) > MOST
-    return tuple(image.double() for image in images) if wide else images
+_light_of, _mixed, _fused = Frozen(light_of), Frozen(mixed_radiance), Frozen(fused_radiance)
 
 
-def _usable(images: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
+def usable(parents: Parents) -> tuple[Parents, int]:
     """The parents with whatever cannot be radiance replaced, and in how many pixels; see `Fused`."""
-    found = {n: images[n][0].permute(1, 2, 0).cpu().numpy() for n in _RADIANCE if n in images}
-    traced, splat = found["traced"], found["splat"]
+    found = parents.images()
+    traced, splat, albedo, variance = (found[name] for name in ("traced", "splat", "albedo", "variance"))
     # (H, W, 1) each. Where splats and denoised samples are wrong, they are so in whole patches.
     no_traced = outliers(traced, splat)
     samples = np.where(no_traced, 0, traced)
@@ -167,15 +204,9 @@ def _usable(images: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
         no_denoised = outliers(found["denoised"], samples, usable_splat, beside=False)
         for_traced = for_splat = found["denoised"] = np.where(no_denoised, usable_splat, found["denoised"])
         wrong = wrong | no_denoised
-    found["traced"], found["splat"] = (
-        np.where(no_traced, for_traced, traced),
-        np.where(no_splat, for_splat, splat),
-    )
-    device = images["traced"].device
-    unknown = as_batch(no_traced.astype(np.float32)).bool().to(device)
-    features = {
-        "albedo": torch.nan_to_num(images["albedo"], posinf=0, neginf=0),
-        "variance": images["variance"].masked_fill(unknown, torch.inf),
-    }
-    usable = {name: as_batch(image).to(device) for name, image in found.items()}
-    return {**images, **usable, **features}, int(np.count_nonzero(no_traced | wrong))
+    found["traced"] = np.where(no_traced, for_traced, traced)
+    found["splat"] = np.where(no_splat, for_splat, splat)
+    found["albedo"] = np.nan_to_num(albedo, posinf=0, neginf=0)
+    found["variance"] = np.where(no_traced, np.inf, variance)
+    usable = Parents.of_images(parents.arrays, found, parents.expected)
+    return usable, int(np.count_nonzero(no_traced | wrong))

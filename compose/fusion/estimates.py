@@ -6,18 +6,25 @@ slowly, so that its ratio is denoised at half the resolution, in a tenth of the 
 radiance takes, and the splats keep their detail (a ratio estimator, as Heitz et al. 2018 denoise shadows).
 
 All is measured in radiance x relative to its level l, as x / (x + l): that depends on no unit, and an outlier
-counts for 1 at most. Images are (N, 3, H, W), levels and counts (N, 1, H, W).
+counts for 1 at most. Images are channels of the pixels of a Grid, the finest of several.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import log
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import and_, or_
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+import drjit as dr
 
-from compose.fusion.parents import box_mean, enlarged, halved
+from compose.fusion.maps import Grid, among, block_means, box_mean, interpolated, pixels_of
+from compose.fusion.parents import Planes
+from compose.image.colour import MOST
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, Int, UInt
 
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
@@ -40,102 +47,156 @@ _SHARED = 0.25
 _OFFSET, _MOST_RATIO = 0.5, 100.0
 
 
-def dark_of(traced: Tensor, splat: Tensor) -> Tensor:
-    """(N, 1, 1, 1) radiance that counts as dark: a share of the image's.
+@dataclass(frozen=True)
+class Light:
+    """What samples say of the splats: what is dark, how much texture these lack, and by what to relight them.
 
-    That is the square of its mean root, which few bright samples do not raise.
+    Attributes:
+        dark: of width 1, radiance that counts as dark: a share of the image's. That is the square of its mean
+            root, which few bright samples do not raise. NaN if parents are not finite, negative or over MOST.
+        level: radiance beside which differences count.
+        splat: three channels, sharpened.
+        ratio: three channels of the half grid, pixel by pixel: how much more light samples have than splats.
     """
-    return _DARK * torch.sqrt((traced + splat) / 2).mean((1, 2, 3), keepdim=True) ** 2 + 1e-30
+
+    dark: Float
+    level: Float
+    splat: list[Float]
+    ratio: Float
 
 
-def texture_of(albedo: Tensor) -> Tensor:
-    """Logarithm of the albedo over its means in windows of 3 pixels."""
-    return torch.log(albedo + _BLACK) - torch.log(box_mean(albedo) + _BLACK)
-
-
-def sharpened(splat: Tensor, texture: Tensor, traced: Tensor, level: Tensor) -> Tensor:
-    """Splats with the texture of the albedo that they lack, as the samples tell.
-
-    One number for the image says how much of it, by least squares.
-    """
-    seen = _seen(splat, level)
+def light_of(grids: list[Grid], images: Planes, denoised: Float | None) -> Light:
+    """What the samples of a view say of its splats; in seven kernels."""
+    grid, half = grids[:2]
+    Float = grid.arrays.plain.Float
+    row, column, known = grid.pixels()
+    index = grid.index(row, column)
+    traced, splat = images.at("traced", index), images.at("splat", index)
+    radiance = [*traced, *splat, *([] if denoised is None else pixels_of(denoised)(index))]
+    finite = map(dr.isfinite, images.at("albedo", index))
+    usual = reduce(and_, [*finite, *[(x >= 0) & (x <= MOST) for x in radiance]])
+    roots = dr.sum([dr.sqrt(0.5 * (a + b)) for a, b in zip(traced, splat, strict=True)])
+    mean = dr.sum(dr.select(known, dr.select(usual, roots, dr.nan), 0)) / (
+        3 * Float(grid.height) * Float(grid.width)
+    )
+    dark = _DARK * dr.square(mean) + 1e-30
+    level = dr.sum(splat) * (1 / 3) + dark
+    texture = _texture(grid, images, row, column)
     # Around the disc the samples are the splats themselves.
-    known = (traced != splat).any(1, keepdim=True)
-    # By which each unit of texture changes what is seen of the splats.
-    change = torch.where(known, seen * (1 - seen) * texture, 0)
-    found = (change * (_seen(traced, level) - seen)).sum((1, 2, 3), keepdim=True)
-    found = found / (change**2).sum((1, 2, 3), keepdim=True).clamp(min=_SAME)
-    return splat * torch.exp((found - _SHARED).clamp(0, 1) * texture)
+    differs = known & reduce(or_, [a != b for a, b in zip(traced, splat, strict=True)])
+    # By which each unit of texture changes what is seen of the splats; and what these lack.
+    seen = [_seen(x, level) for x in splat]
+    change = [dr.select(differs, s * (1 - s) * t, 0) for s, t in zip(seen, texture, strict=True)]
+    lack = [_seen(x, level) - s for x, s in zip(traced, seen, strict=True)]
+    by_texture = dr.sum([c * x for c, x in zip(change, lack, strict=True)])
+    weight = dr.sum([dr.square(c) for c in change])
+    dr.eval(dark, level, texture, by_texture, weight)
+    share = dr.clip(dr.sum(by_texture) / dr.maximum(dr.sum(weight), _SAME) - _SHARED, 0, 1)
+    splat = [x * dr.exp(share * t) for x, t in zip(splat, texture, strict=True)]
+    dr.eval(splat)
+    ratio = _ratio(grid, half, images, splat, _OFFSET * dark)
+    dr.eval(ratio)
+    return Light(dark, level, splat, ratio)
 
 
-def ratio_of(traced: Tensor, splat: Tensor, dark: Tensor) -> Tensor:
-    """(N, 3, H / 2, W / 2) how much more light samples have than splats; sides even, dark (N, 1, 1, 1)."""
+def _texture(grid: Grid, images: Planes, row: Int, column: Int) -> list[Float]:
+    """Logarithm of the albedo over its means in windows of 3 pixels."""
+    albedo = images.at("albedo", grid.index(row, column))
+    means = box_mean(lambda index: images.at("albedo", index), grid, row, column)
+    return [dr.log(a + _BLACK) - dr.log(m + _BLACK) for a, m in zip(albedo, means, strict=True)]
+
+
+def _ratio(grid: Grid, half: Grid, images: Planes, splat: list[Float], offset: Float) -> Float:
+    row, column, _ = half.pixels()
+    both = lambda index: [*images.at("traced", index), *among(splat)(index)]  # noqa: E731
+    means = block_means(both, grid, row, column, 1)
     # Where both are dark, it would be noise.
-    offset = _OFFSET * dark
-    return ((halved(traced) + offset) / (halved(splat) + offset)).clamp(max=_MOST_RATIO)
+    pairs = zip(means[:3], means[3:], strict=True)
+    found = [dr.minimum((a + offset) / (b + offset), _MOST_RATIO) for a, b in pairs]
+    return grid.arrays.plain.Float(dr.ravel(grid.arrays.plain.Array3f(*found)))
 
 
-def relit(splat: Tensor, ratio: Tensor, dark: Tensor) -> Tensor:
-    """Splats times a denoised `ratio`."""
-    offset = _OFFSET * dark
-    return (enlarged(ratio, splat) * (splat + offset) - offset).clamp(min=0)
+def candidates_of(
+    grids: list[Grid], light: Light, smooth: Float, denoised: Float | None
+) -> list[list[Float]]:
+    """Splats, relit splats and, if there are any, denoised samples: three channels each.
+
+    Relit splats are splats times the denoised ratio, `smooth`, of the half grid, pixel by pixel.
+    """
+    grid, half = grids[:2]
+    row, column, _ = grid.pixels()
+    offset, ratio = _OFFSET * light.dark, interpolated(pixels_of(smooth), half.taps(row, column, 1))
+    relit = [dr.maximum(r * (x + offset) - offset, 0) for r, x in zip(ratio, light.splat, strict=True)]
+    found = [light.splat, relit]
+    if denoised is not None:
+        found.append(pixels_of(denoised)(grid.index(row, column)))
+    dr.eval(found)
+    return found
 
 
-def shares(seen: Tensor, like: Tensor) -> Tensor:
-    """(N, 2 or 3, H, W) weights of the candidates in a mixture by what is seen of them (`evidence`).
+def shares(seen: Sequence[Float]) -> list[Float]:
+    """Weights of the 2 or 3 candidates in a mixture by what is seen of them (`evidence`).
 
     They are logistic in the logarithms of what is seen: what a filter got wrong cannot be told from the
     samples that it has seen, but follows a power of what it removed, at all sample counts alike.
     """
-    odds = seen.new_tensor(QUICK_ODDS if seen.shape[1] == len(QUICK_ODDS[0]) else ODDS)
-    logits = torch.einsum("kc,nchw->nkhw", odds, seen)
-    weights = torch.softmax(torch.cat([torch.zeros_like(logits[:, :1]), logits], 1), 1)
-    return enlarged(weights, like)
+    table = QUICK_ODDS if len(seen) == len(QUICK_ODDS[0]) else ODDS
+    odds = [dr.sum([o * channel for o, channel in zip(row, seen, strict=True)]) for row in table]
+    most = dr.maximum(0, odds[0] if len(odds) == 1 else dr.maximum(*odds))
+    parts = [dr.exp(-most), *[dr.exp(value - most) for value in odds]]
+    total = dr.sum(parts)
+    return [part / total for part in parts]
 
 
 def evidence(
-    candidates: Sequence[Tensor], images: Mapping[str, Tensor], level: Tensor, expected: float
-) -> Tensor:
-    """What the odds of an estimate against the splats depend on, (N, 5 or 10, H / 4, W / 4).
+    grids: list[Grid], images: Planes, light: Light, candidates: list[list[Float]], expected: Float
+) -> list[Float]:
+    """What the odds of an estimate against the splats depend on: 5 or 10 channels of the quarter grid.
 
-    Candidates are splats, relit splats and, if there are any, denoised samples; images and what is expected
-    are those of Parents. The channels are 1; the logarithms of what relit splats lack of the samples and of
-    how far they are from the splats, both squared; and how far the samples lie on the way from the splats to
-    them. Then, the logarithm of what is expected; or with denoised samples, the three of these, the last one
-    from halfway and times the doublings of the sample count, with which it is known better; how far these are
-    from relit splats, and the samples on the way there; and the share of samples of earlier views: denoising
-    takes what these have in common for what there is. What is seen is the mean over about 12 x 12 pixels.
+    The channels are 1; the logarithms of what relit splats lack of the samples and of how far they are from the
+    splats, both squared; and how far the samples lie on the way from the splats to them. Then, the logarithm
+    of the error that is expected of splats; or with denoised samples, the three of these, the last one from
+    halfway and times the doublings of the sample count, with which it is known better; how far these are from
+    relit splats, and the samples on the way there; and the share of samples of earlier views: denoising takes
+    what these have in common for what there is. What is seen is the mean over about 12 x 12 pixels.
     """
-    samples, first, second, *third = (_seen(image, level) for image in (images["traced"], *candidates))
-    products = _products(samples, first, second)
-    for denoised in third:
-        products += _products(samples, first, denoised) + _products(samples, second, denoised)[1:]
-    maps = [part.mean(1, keepdim=True) for part in products]
-    if third:
-        maps += [images["count"], images["earlier"]]
-    means = box_mean(halved(halved(torch.cat(maps, 1)))).split(1, 1)
-    even = torch.ones_like(means[0])
-    channels = [even, torch.log(means[0] + _SAME), *_way(*means[1:3])]
-    if third:
-        number, earlier = means[-2:]
-        apart, along = _way(*means[4:6])
-        doublings = torch.log2(number.clamp(1, _MOST_SAMPLES))
-        channels += [torch.log(means[3] + _SAME), apart, (along - 0.5) * doublings, *_way(*means[6:8])]
-        channels.append((earlier / number.clamp(min=1)).clamp(max=1))
-    else:
-        channels.append(even * log(min(max(expected, _LEAST), _MOST)))
-    return torch.cat(channels, 1)
+    grid, quarter = grids[0], grids[2]
+    row, column, _ = quarter.pixels()
+    kind = type(expected)
+
+    def seen_at(index: UInt) -> list[Float]:
+        level = dr.gather(kind, light.level, index)
+        looked_up = images.at("traced", index), *[among(channels)(index) for channels in candidates]
+        samples, first, second, *third = ([_seen(x, level) for x in image] for image in looked_up)
+        found = _products(samples, first, second)
+        for denoised in third:
+            found += _products(samples, first, denoised) + _products(samples, second, denoised)[1:]
+        return found + (images.at("count", index) + images.at("earlier", index) if third else [])
+
+    means = block_means(seen_at, grid, row, column, 2)
+    dr.eval(means)
+    means = box_mean(among(means), quarter, row, column)
+    channels = [dr.full(kind, 1, quarter.lanes), dr.log(means[0] + _SAME), *_way(*means[1:3])]
+    if len(candidates) == 2:
+        return [*channels, dr.log(dr.clip(expected, _LEAST, _MOST))]
+    number, earlier = means[-2:]
+    apart, along = _way(*means[4:6])
+    doublings = dr.log2(dr.clip(number, 1, _MOST_SAMPLES))
+    channels += [dr.log(means[3] + _SAME), apart, (along - 0.5) * doublings, *_way(*means[6:8])]
+    return [*channels, dr.minimum(earlier / dr.maximum(number, 1), 1)]
 
 
-def _products(samples: Tensor, one: Tensor, other: Tensor) -> list[Tensor]:
+def _products(samples: list[Float], one: list[Float], other: list[Float]) -> list[Float]:
     """What another estimate lacks of the samples and how far it is from one, squared, and their product."""
-    way = other - one
-    return [(samples - other) ** 2, way**2, (samples - one) * way]
+    way = [b - a for a, b in zip(one, other, strict=True)]
+    lacks = dr.sum([dr.square(x - b) for x, b in zip(samples, other, strict=True)])
+    along = dr.sum([(x - a) * w for x, a, w in zip(samples, one, way, strict=True)])
+    return [lacks * (1 / 3), dr.sum([dr.square(w) for w in way]) * (1 / 3), along * (1 / 3)]
 
 
-def _way(apart: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
-    return torch.log(apart + _SAME), (along / (apart + _SAME)).clamp(-_FURTHEST, _FURTHEST)
+def _way(apart: Float, along: Float) -> tuple[Float, Float]:
+    return dr.log(apart + _SAME), dr.clip(along / (apart + _SAME), -_FURTHEST, _FURTHEST)
 
 
-def _seen(radiance: Tensor, level: Tensor) -> Tensor:
+def _seen(radiance: Float, level: Float) -> Float:
     return radiance / (radiance + level)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import mitsuba_oidn
 import numpy as np
-import torch
 
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
@@ -19,11 +16,10 @@ from compose.fovea.samples import Samples
 from compose.fusion.parents import TYPICAL_ERROR, Parents
 from compose.image.colour import MOST, Image, filled, outliers
 from compose.image.device_image import DeviceImage, all_plain
-from hybrid.base.compute_device import device_arrays
 from pathtrace.trace.traced_images import denoise
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Float, UInt
+    from drjit.auto.ad import Float
 
 
 @dataclass(frozen=True)
@@ -50,22 +46,28 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
     """The images that are fused, of the disc's pixels; if `quick`, without denoised samples."""
     splats = disc.of_frame(underlay.radiance)
     images = DiscImages.of(disc, samples, splats)
-    variance = disc.images([*samples.variance(), samples.earlier], [*[dr.inf] * 3, 0.0])
-    shown = [*images.radiance, *images.albedo, images.count, *splats, *variance]
-    planes = _planes(disc, shown).permute(1, 2, 0)
-    traced, albedo, count, splat, unknown, earlier = torch.split(planes, [3, 3, 1, 3, 3, 1], dim=2)
+    *variance, earlier = disc.images([*samples.variance(), samples.earlier], [*[dr.inf] * 3, 0.0])
     denoised = None
     if not quick:
         # Tiles with their borders have twice as many pixels.
-        denoised = _torch(denoise(*_plain(images.tensors()), disc.tiling is not None))
-    return Parents(traced, unknown, splat, albedo, count, earlier, denoised, underlay.expected)
+        denoised = denoise(*_plain(images.tensors()), disc.tiling is not None).array
+    fused = {
+        "traced": images.radiance,
+        "variance": variance,
+        "splat": splats,
+        "albedo": images.albedo,
+        "count": [images.count],
+        "earlier": [earlier],
+    }
+    return Parents.of(disc.arrays, disc.shape, fused, denoised, underlay.expected)
 
 
-def smooth(image: torch.Tensor) -> torch.Tensor:
-    """(1, 3, H, W) without Monte Carlo noise, by the quicker denoiser without auxiliary features."""
-    pixels = image[0].permute(1, 2, 0).contiguous()
-    found = mitsuba_oidn.denoise(pixels, hdr=True, quality=mitsuba_oidn.Quality.Fast)
-    return found.permute(2, 0, 1)[None]
+def smooth(image: mi.TensorXf) -> mi.TensorXf:
+    """(H, W, 3) without Monte Carlo noise, by the quicker denoiser without auxiliary features."""
+    dr.eval(image)
+    # OIDN does not know of Dr.Jit's queue.
+    dr.sync_thread()
+    return mitsuba_oidn.denoise(image, hdr=True, quality=mitsuba_oidn.Quality.Fast)
 
 
 @dataclass(frozen=True)
@@ -127,38 +129,3 @@ def _plain(tensors: list[mi.TensorXf]) -> tuple[mi.TensorXf, mi.TensorXf, mi.Ten
         image: Image = np.asarray(radiance)
         radiance = type(radiance)(filled(image, outliers(image)))
     return radiance, albedo, normal
-
-
-def channels_of(disc: Disc, images: Sequence[Image | torch.Tensor], pixels: UInt) -> list[list[Float]]:
-    """Of each image (h, w, C) of a disc C Floats (N,), in some of its pixels, UInt (N,)."""
-    arrays, size = disc.arrays, disc.arrays.constant(disc.shape[0] * disc.shape[1])
-    # At once: each tensor that Dr.Jit takes costs as much as a small kernel.
-    planes = torch.cat([torch.as_tensor(image).permute(2, 0, 1).flatten() for image in images])
-    values = arrays.plain.Float(planes.numpy() if arrays.backend == "cuda" and not planes.is_cuda else planes)
-    counts = [image.shape[2] for image in images]
-    at = [pixels + size * number for number in range(sum(counts))]
-    channels = iter([dr.gather(type(values), values, index) for index in at])
-    return [list(islice(channels, count)) for count in counts]
-
-
-def _planes(disc: Disc, channels: list[Float]) -> torch.Tensor:
-    """(C, h, w) tensor of torch, channels of a disc's image."""
-    plain, (height, width) = disc.arrays.plain, disc.shape
-    size = height * width
-    buffer = dr.empty(plain.Float, size * len(channels))
-    index, stride = dr.arange(plain.UInt, size), disc.arrays.constant(size)
-    for number, values in enumerate(channels):
-        dr.scatter(buffer, values, index + number * stride, mode=dr.ReduceMode.Permute)
-    return _torch(plain.TensorXf(buffer, (len(channels), height, width)))
-
-
-def _torch(tensor: mi.TensorXf) -> torch.Tensor:
-    """The tensor as torch's, in the same memory; in a copy if this torch has no card.
-
-    On a card, Dr.Jit's queue and torch's default one wait for each other.
-    """
-    if dr.backend_v(tensor) is dr.JitBackend.CUDA and device_arrays().device.type != "cuda":
-        return torch.from_numpy(tensor.numpy())
-    shared = tensor.torch()
-    assert isinstance(shared, torch.Tensor)
-    return shared

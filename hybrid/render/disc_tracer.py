@@ -18,8 +18,8 @@ from compose.fovea.disc import Disc
 from compose.fovea.history import History
 from compose.fovea.samples import Samples, averaged_features, merged, put, taken
 from compose.fusion.combination import Fusion
-from hybrid.base.compute_device import device_arrays, torch_working_on
-from hybrid.render.disc_images import Underlay, channels_of, parents_of, smooth
+from hybrid.base.compute_device import device_arrays
+from hybrid.render.disc_images import Underlay, parents_of, smooth
 from pathtrace.trace.film import pixel_positions
 from pathtrace.trace.first_hit import AuxiliaryFeatures
 from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
@@ -276,11 +276,9 @@ def _second_counts(request: DiscRequest, known: Samples, have: Float, underlay: 
     disc = request.disc
     # Where samples go needs no fine detail.
     parents = parents_of(disc, known, underlay, quick=True)
-    everywhere = dr.arange(disc.arrays.plain.UInt, disc.shape[0] * disc.shape[1])
-    with torch_working_on(disc.shape[0] * disc.shape[1]):
-        fusion = Fusion(parents)
-        found = [fusion.estimate(smooth(fusion.ratio)), parents.splat]
-    estimate, splat = channels_of(disc, found, everywhere)
+    fusion, everywhere = Fusion(parents), dr.arange(disc.arrays.plain.UInt, disc.shape[0] * disc.shape[1])
+    estimate = fusion.estimate(smooth(fusion.ratio), everywhere)
+    splat = parents.planes.at("splat", everywhere)
     differs = disagreement(disc.arrays, estimate, splat, disc.shape)
     worth = dr.gather(type(differs), differs, disc.inside)
     left = (request.spp - _first_spp(request.spp)) * disc.count

@@ -12,9 +12,9 @@ from compose.fovea.disc import Disc, thinned
 from compose.fovea.foveation import FoveaMode
 from compose.fovea.samples import Samples
 from compose.fusion.combination import Fusion
+from compose.fusion.maps import pixels_of
 from compose.image.device_image import DeviceImage
-from hybrid.base.compute_device import torch_working_on
-from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of, smooth
+from hybrid.render.disc_images import DiscImages, Underlay, parents_of, smooth
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from pathtrace.trace.tracer import Tracer
 
@@ -111,19 +111,16 @@ class Fovea:
             if surroundings is None:
                 raise ValueError("a denoised fovea requires the radiance around the disc")
             images = DiscImages.of(disc, samples, disc.of_frame(surroundings))
-            flat, kind = images.denoised(quick).array, disc.arrays.plain.Float
-            denoised = [dr.gather(kind, flat, disc.inside * 3 + c) for c in range(3)]
+            denoised = pixels_of(images.denoised(quick).array)(disc.inside)
             return FoveaImage(disc, denoised, samples, denoised)
         if underlay is None:
             raise ValueError("a fused fovea requires the splats under the disc")
         quick = quick or not worth_denoising(samples.mean_count(), underlay.expected)
         parents = parents_of(disc, samples, underlay, quick)
-        with torch_working_on(disc.shape[0] * disc.shape[1]):
-            fusion = Fusion(parents)
-            fused = fusion.fused(smooth(fusion.ratio))
-        shown = [fused.radiance, fused.weights, parents.denoised]
-        made = channels_of(disc, [image for image in shown if image is not None], disc.inside)
-        return FoveaImage(disc, made[0], samples, made[2] if len(made) > 2 else None, made[1], fused.excluded)
+        fusion = Fusion(parents)
+        fused = fusion.fused(smooth(fusion.ratio), disc.inside)
+        denoised = None if parents.denoised is None else pixels_of(parents.denoised)(disc.inside)
+        return FoveaImage(disc, fused.radiance, samples, denoised, fused.weights, fused.excluded)
 
 
 def worth_denoising(spp: float, expected: float) -> bool:
