@@ -26,7 +26,7 @@ from benchmarks import parser_of, report
 from compose.camera.camera import Camera, camera_from_pose
 from compose.fovea.disc import Disc
 from compose.fusion.combination import Fusion
-from compose.fusion.parents import Parents, as_batch
+from compose.fusion.parents import Parents
 from hybrid.render.disc_images import parents_of, smooth
 from hybrid.render.fovea import worth_denoising
 from hybrid.render.frame_renderer import Renderer
@@ -124,7 +124,7 @@ def _truth(renderer: Renderer, settings: hybrid.FrameSettings) -> tuple[Tensor, 
     features = [_image(disc, of) for of in (frame.fovea.samples.albedo, frame.fovea.samples.normal)]
     noisy = torch.where(inside > 0, torch.stack(halves).mean(0), _image(disc, frame.fovea.denoised or []))
     planes = [image[0].permute(1, 2, 0).contiguous().numpy() for image in (noisy, *features)]
-    base = as_batch(denoise(planes[0], planes[1], planes[2])).clamp(min=0)
+    base = torch.from_numpy(denoise(planes[0], planes[1], planes[2])).permute(2, 0, 1)[None].clamp(min=0)
     # Linearized where the halves are nearly right, so that their noise stays unbiased.
     slope = torch.where(base < 1, 0.5 / _root(base), 0.0)
     one, other = (
@@ -146,20 +146,28 @@ def _fovea(
     fresh: Renderer,
     truth: tuple[Tensor, Tensor, Tensor],
 ) -> Fovea:
-    parents = _last_of(kind, settings, fresh)
-    images = {name: _cropped(as_batch(image)) for name, image in parents.images().items()}
-    cropped: dict[str, Any] = {name: image[0].permute(1, 2, 0) for name, image in images.items()}
-    parents = replace(parents, **cropped)
+    given = _last_of(kind, settings, fresh)
+    height, width = (side - side % _BLOCK for side in given.shape)
+    images = {name: image[:height, :width] for name, image in given.images().items()}
+    parents = Parents.of_images(given.arrays, images, given.expected)
+    pixels = dr.arange(parents.arrays.plain.UInt, height * width)
+
+    def planes(channels: Sequence[Any], shape: tuple[int, int] = (height, width)) -> Tensor:
+        """(1, C, H, W) of channels: their first numbers, or their only one everywhere."""
+        return torch.from_numpy(np.stack([np.resize(np.array(of), shape) for of in channels]))[None]
+
     whole = _blocks(truth[2])[0, 0] > 1 - 1e-6
     candidates, seen, made = [], [], []
     for of in (replace(parents, denoised=None), parents):
         fusion = Fusion(of)
         ratio = smooth(fusion.ratio)
-        candidates = fusion.candidates(ratio)
-        seen.append(fusion.evidence(candidates)[0][:, whole])
-        made.append(as_batch(fusion.fused(ratio).radiance))
+        found, channels = fusion.candidates(ratio)
+        candidates = [planes(image) for image in found]
+        seen.append(planes(channels, (height // _BLOCK, width // _BLOCK))[0][:, whole])
+        made.append(planes(fusion.fused(ratio, pixels).radiance))
     denoises = worth_denoising(float(images["count"].mean()), parents.expected)
-    estimates = [images["splat"], *candidates, made[0], made[denoises]]
+    splat = torch.from_numpy(np.moveaxis(images["splat"], 2, 0).copy())[None]
+    estimates = [splat, *candidates, made[0], made[denoises]]
     return Fovea(scene, kind, settings.spp, denoises, estimates, (seen[0], seen[1]), *truth)
 
 

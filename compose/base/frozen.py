@@ -74,7 +74,7 @@ class Passed:
 
 
 class Frozen(Generic[_Result]):
-    """`dr.freeze` without four faults of Dr.Jit 1.5.
+    """`dr.freeze` without five faults of Dr.Jit 1.5.
 
     - Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python
       code, in which another thread may get its turn; if that one frees an array, both wait for ever. So
@@ -82,6 +82,8 @@ class Frozen(Generic[_Result]):
     - A garbage collection that frees a Mitsuba scene during a recording aborts the process: it is paused.
     - Of a number or string that occurs a second time, Dr.Jit only knows that it did: (True, False, True) was
       replayed for (True, False, False). So there is a hash of them all.
+    - Sums that kernels scatter to have a copy for each thread that there was when they were recorded; further
+      threads would write beyond them. So recordings differ by the number of threads.
     - Ctrl-C while it walks through arguments and results becomes a RuntimeError: it is raised again.
 
     What the function takes from elsewhere than its arguments is part of the recording for good. Arrays that
@@ -108,7 +110,7 @@ class Frozen(Generic[_Result]):
         """The result; the collector is paused."""
         flat = _flattened(arguments)
         try:
-            found = self._recorded(flat, hash(_key(flat, self._by_size)))
+            found = self._recorded(flat, hash((_key(flat, self._by_size), dr.thread_count())))
         except RuntimeError as error:
             cause: BaseException | None = error
             while isinstance(cause, RuntimeError):

@@ -24,7 +24,7 @@ from compose.base.frozen import Frozen
 from compose.fusion.estimates import Light, candidates_of, evidence, light_of, shares
 from compose.fusion.maps import Grid, among, block_means, box_mean, interpolated
 from compose.fusion.parents import PARENTS, Parents, Planes
-from compose.image.colour import LUMINANCE_WEIGHTS, outliers
+from compose.image.colour import LUMINANCE_WEIGHTS, MOST, outliers
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Float, Float64, TensorXf, UInt
@@ -39,8 +39,8 @@ _TAILS = 20.0
 class Fused:
     """One estimate of radiance in N pixels, and the weights of PARENTS: three and four channels (N,).
 
-    In `excluded` pixels of the whole image a parent was left out because it was negative, not finite, or out
-    of proportion to its neighbours and to the other parents (compose.image.colour).
+    In `excluded` pixels of the image a parent was left out because it was negative, not finite, or out of
+    proportion to its neighbours and to the other parents (compose.image.colour).
     """
 
     radiance: list[Float]
@@ -49,15 +49,20 @@ class Fused:
 
 
 class Fusion:
-    """The fusion of a view's parents, in two steps, since what its splats are relit by is denoised between."""
+    """The fusion of a view's parents, in two steps: what its splats are relit by is denoised between them."""
 
     def __init__(self, parents: Parents):
         self._parents, self._excluded = parents, 0
-        self._light = _light_of(parents.grids, parents.planes, parents.denoised)
+        self._light = self._lit_by(parents, MOST)
         # The one number that is waited for; a denoiser follows, which waits anyway.
-        if not np.isfinite(self._light.dark[0]):
+        if not np.isfinite(self._light.brightness[0]):
             self._parents, self._excluded = usable(parents)
-            self._light = _light_of(parents.grids, self._parents.planes, self._parents.denoised)
+            self._light = self._lit_by(self._parents, np.inf)
+
+    @staticmethod
+    def _lit_by(parents: Parents, most: float) -> Light:
+        limit = constant(parents.arrays.plain.Float, most)
+        return _light_of(parents.grids, parents.planes, parents.denoised, limit)
 
     @property
     def ratio(self) -> TensorXf:

@@ -21,10 +21,9 @@ import drjit as dr
 
 from compose.fusion.maps import Grid, among, block_means, box_mean, interpolated, pixels_of
 from compose.fusion.parents import Planes
-from compose.image.colour import MOST
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Float, Int, UInt
+    from drjit.auto.ad import Bool, Float, Int, UInt
 
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
@@ -49,54 +48,68 @@ _OFFSET, _MOST_RATIO = 0.5, 100.0
 
 @dataclass(frozen=True)
 class Light:
-    """What samples say of the splats: what is dark, how much texture these lack, and by what to relight them.
+    """What samples say of the splats: how much texture they lack, and by what to relight them.
 
     Attributes:
-        dark: of width 1, radiance that counts as dark: a share of the image's. That is the square of its mean
-            root, which few bright samples do not raise. NaN if parents are not finite, negative or over MOST.
+        brightness: of width 1, the sum of the roots of all radiance; NaN if any of it is out of range.
         level: radiance beside which differences count.
         splat: three channels, sharpened.
         ratio: three channels of the half grid, pixel by pixel: how much more light samples have than splats.
     """
 
-    dark: Float
+    brightness: Float
     level: Float
     splat: list[Float]
     ratio: Float
 
 
-def light_of(grids: list[Grid], images: Planes, denoised: Float | None) -> Light:
-    """What the samples of a view say of its splats; in seven kernels."""
+def light_of(grids: list[Grid], images: Planes, denoised: Float | None, most: Float) -> Light:
+    """What the samples of a view say of its splats, whose radiance must be from 0 to `most`, of width 1."""
     grid, half = grids[:2]
-    Float = grid.arrays.plain.Float
     row, column, known = grid.pixels()
     index = grid.index(row, column)
     traced, splat = images.at("traced", index), images.at("splat", index)
     radiance = [*traced, *splat, *([] if denoised is None else pixels_of(denoised)(index))]
-    finite = map(dr.isfinite, images.at("albedo", index))
-    usual = reduce(and_, [*finite, *[(x >= 0) & (x <= MOST) for x in radiance]])
+    finite = [dr.isfinite(a) for a in images.at("albedo", index)]
+    usual = reduce(and_, [(x >= 0) & (x <= most) for x in radiance], reduce(and_, finite))
     roots = dr.sum([dr.sqrt(0.5 * (a + b)) for a, b in zip(traced, splat, strict=True)])
-    mean = dr.sum(dr.select(known, dr.select(usual, roots, dr.nan), 0)) / (
-        3 * Float(grid.height) * Float(grid.width)
-    )
-    dark = _DARK * dr.square(mean) + 1e-30
-    level = dr.sum(splat) * (1 / 3) + dark
+    # Lanes beyond the pixels repeat the last ones.
+    brightness = dr.sum(dr.select(known, roots, 0) + dr.select(usual, 0, dr.nan))
+    level = dr.sum(splat) * (1 / 3) + _dark(grid, brightness)
     texture = _texture(grid, images, row, column)
     # Around the disc the samples are the splats themselves.
     differs = known & reduce(or_, [a != b for a, b in zip(traced, splat, strict=True)])
-    # By which each unit of texture changes what is seen of the splats; and what these lack.
+    by_texture, weight = _texture_products([traced, splat, texture], level, differs)
+    dr.eval(level, texture, by_texture, weight)
+    lacking = dr.clip(dr.sum(by_texture) / dr.maximum(dr.sum(weight), _SAME) - _SHARED, 0, 1)
+    splat = [x * dr.exp(lacking * t) for x, t in zip(splat, texture, strict=True)]
+    dr.eval(splat)
+    ratio = _ratio(grid, half, images, splat, _OFFSET * _dark(grid, brightness))
+    dr.eval(ratio)
+    return Light(brightness, level, splat, ratio)
+
+
+def _dark(grid: Grid, brightness: Float) -> Float:
+    """Radiance that counts as dark, of width 1: a share of the image's.
+
+    That is the square of its mean root, which few bright samples do not raise.
+    """
+    kind = type(brightness)
+    return _DARK * dr.square(brightness / (3 * kind(grid.height) * kind(grid.width))) + 1e-30
+
+
+def _texture_products(images: list[list[Float]], level: Float, differs: Bool) -> tuple[Float, Float]:
+    """Two numbers of pixels that differ; the quotient of their sums is how much of a texture splats lack.
+
+    By least squares; images are samples, splats and texture.
+    """
+    traced, splat, texture = images
+    # By which each unit of texture changes what is seen of the splats.
     seen = [_seen(x, level) for x in splat]
     change = [dr.select(differs, s * (1 - s) * t, 0) for s, t in zip(seen, texture, strict=True)]
     lack = [_seen(x, level) - s for x, s in zip(traced, seen, strict=True)]
     by_texture = dr.sum([c * x for c, x in zip(change, lack, strict=True)])
-    weight = dr.sum([dr.square(c) for c in change])
-    dr.eval(dark, level, texture, by_texture, weight)
-    share = dr.clip(dr.sum(by_texture) / dr.maximum(dr.sum(weight), _SAME) - _SHARED, 0, 1)
-    splat = [x * dr.exp(share * t) for x, t in zip(splat, texture, strict=True)]
-    dr.eval(splat)
-    ratio = _ratio(grid, half, images, splat, _OFFSET * dark)
-    dr.eval(ratio)
-    return Light(dark, level, splat, ratio)
+    return by_texture, dr.sum([dr.square(c) for c in change])
 
 
 def _texture(grid: Grid, images: Planes, row: Int, column: Int) -> list[Float]:
@@ -125,7 +138,10 @@ def candidates_of(
     """
     grid, half = grids[:2]
     row, column, _ = grid.pixels()
-    offset, ratio = _OFFSET * light.dark, interpolated(pixels_of(smooth), half.taps(row, column, 1))
+    offset, ratio = (
+        _OFFSET * _dark(grid, light.brightness),
+        interpolated(pixels_of(smooth), half.taps(row, column, 1)),
+    )
     relit = [dr.maximum(r * (x + offset) - offset, 0) for r, x in zip(ratio, light.splat, strict=True)]
     found = [light.splat, relit]
     if denoised is not None:
@@ -142,7 +158,7 @@ def shares(seen: Sequence[Float]) -> list[Float]:
     """
     table = QUICK_ODDS if len(seen) == len(QUICK_ODDS[0]) else ODDS
     odds = [dr.sum([o * channel for o, channel in zip(row, seen, strict=True)]) for row in table]
-    most = dr.maximum(0, odds[0] if len(odds) == 1 else dr.maximum(*odds))
+    most = reduce(dr.maximum, odds, type(odds[0])(0))
     parts = [dr.exp(-most), *[dr.exp(value - most) for value in odds]]
     total = dr.sum(parts)
     return [part / total for part in parts]
@@ -153,12 +169,13 @@ def evidence(
 ) -> list[Float]:
     """What the odds of an estimate against the splats depend on: 5 or 10 channels of the quarter grid.
 
-    The channels are 1; the logarithms of what relit splats lack of the samples and of how far they are from the
-    splats, both squared; and how far the samples lie on the way from the splats to them. Then, the logarithm
-    of the error that is expected of splats; or with denoised samples, the three of these, the last one from
-    halfway and times the doublings of the sample count, with which it is known better; how far these are from
-    relit splats, and the samples on the way there; and the share of samples of earlier views: denoising takes
-    what these have in common for what there is. What is seen is the mean over about 12 x 12 pixels.
+    The channels are 1; the logarithms of what relit splats lack of the samples and of how far they are from
+    the splats, both squared; and how far the samples lie on the way from the splats to them. Then, the
+    logarithm of the error that is expected of splats; or with denoised samples, the three of these, the last
+    one from halfway and times the doublings of the sample count, with which it is known better; how far these
+    are from relit splats, and the samples on the way there; and the share of samples of earlier views:
+    denoising takes what these have in common for what there is. What is seen is the mean over about 12 x 12
+    pixels.
     """
     grid, quarter = grids[0], grids[2]
     row, column, _ = quarter.pixels()

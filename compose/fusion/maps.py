@@ -99,19 +99,19 @@ def block_means(
     values_at: Callable[[UInt], Sequence[_Value]], fine: Grid, row: Int, column: Int, halvings: int
 ) -> list[_Value]:
     """Means of values over the pixels of a fine image that pixels of one `halvings` times coarser cover."""
-    Int, side = fine.arrays.plain.Int, 1 << halvings
+    integer, side = fine.arrays.plain.Int, 1 << halvings
 
     def place(number: Int) -> tuple[Int, Int]:
         return row * side + (number >> halvings), column * side + (number & (side - 1))
 
     def added(number: Int, count: Int, sums: list[_Value]) -> tuple[Int, Int, list[_Value]]:
         i, j = place(number)
-        inside = (i < Int(fine.height)) & (j < Int(fine.width))
+        inside = (i < integer(fine.height)) & (j < integer(fine.width))
         found = values_at(fine.index(i, j))
         sums = [total + dr.select(inside, value, 0) for total, value in zip(sums, found, strict=True)]
-        return number + 1, count + dr.select(inside, Int(1), Int(0)), sums
+        return number + 1, count + dr.select(inside, integer(1), 0), sums
 
-    none = dr.zeros(Int, dr.width(row))
+    none = dr.zeros(integer, dr.width(row))
     kinds = [type(value) for value in values_at(fine.index(*place(none)))]
     start = [dr.zeros(kind, dr.width(row)) for kind in kinds]
     _, count, sums = dr.while_loop(

@@ -19,7 +19,7 @@ from compose.image.device_image import DeviceImage, all_plain
 from pathtrace.trace.traced_images import denoise
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Float
+    from drjit.auto.ad import Float, TensorXf
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
     return Parents.of(disc.arrays, disc.shape, fused, denoised, underlay.expected)
 
 
-def smooth(image: mi.TensorXf) -> mi.TensorXf:
+def smooth(image: TensorXf) -> TensorXf:
     """(H, W, 3) without Monte Carlo noise, by the quicker denoiser without auxiliary features."""
     dr.eval(image)
     # OIDN does not know of Dr.Jit's queue.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -111,7 +111,8 @@ class Fovea:
             if surroundings is None:
                 raise ValueError("a denoised fovea requires the radiance around the disc")
             images = DiscImages.of(disc, samples, disc.of_frame(surroundings))
-            denoised = pixels_of(images.denoised(quick).array)(disc.inside)
+            flat: Float = disc.arrays.plain.Float(images.denoised(quick).array)
+            denoised = pixels_of(flat)(disc.inside)
             return FoveaImage(disc, denoised, samples, denoised)
         if underlay is None:
             raise ValueError("a fused fovea requires the splats under the disc")
@@ -119,8 +120,10 @@ class Fovea:
         parents = parents_of(disc, samples, underlay, quick)
         fusion = Fusion(parents)
         fused = fusion.fused(smooth(fusion.ratio), disc.inside)
-        denoised = None if parents.denoised is None else pixels_of(parents.denoised)(disc.inside)
-        return FoveaImage(disc, fused.radiance, samples, denoised, fused.weights, fused.excluded)
+        made = FoveaImage(disc, fused.radiance, samples, None, fused.weights, fused.excluded)
+        if parents.denoised is None:
+            return made
+        return replace(made, denoised=pixels_of(parents.denoised)(disc.inside))
 
 
 def worth_denoising(spp: float, expected: float) -> bool:

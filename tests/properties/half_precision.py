@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 import splat
 from compose.camera.camera import Camera
-from compose.fusion.combination import Fusion
 from compose.fusion.parents import Parents
-from hybrid.render.disc_images import smooth
+from hybrid.base.compute_device import device_arrays
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, render_frame, write_frame
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene, load_scene
@@ -29,6 +28,7 @@ from pathtrace.trace.tracer import Tracer
 from splat.model.gaussians import Gaussians
 from splat.training.initialization import seed_from_views
 from splat.training.training_view import TrainingView
+from tests.properties.fused_images import fused_image
 from tests.properties.rounding import distribution, markdown
 
 _SEED = 3
@@ -88,9 +88,9 @@ def fused(
     variance = np.maximum(squares - radiance**2, 0) / (_SPP - 1)
     count = np.full((*shape[:2], 1), _SPP, dtype=np.float32)
     denoised = denoise(radiance, albedo, normal)
-    parents = Parents(radiance, variance, splats, albedo, count, 0 * count, denoised)
-    fusion = Fusion(parents)
-    return denoised, fusion.fused(smooth(fusion.ratio)).radiance.numpy()
+    images = {"traced": radiance, "variance": variance, "splat": splats, "albedo": albedo, "count": count}
+    parents = Parents.of_images(device_arrays(), {**images, "earlier": 0 * count, "denoised": denoised})
+    return denoised, fused_image(parents)
 
 
 def measured(name: str, size: int) -> list[dict[str, object]]:

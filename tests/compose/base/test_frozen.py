@@ -44,6 +44,28 @@ def test_arguments_of_other_widths_are_recorded_anew(arrays):
     assert calls == [5, 5, 8]
 
 
+@pytest.fixture
+def threads() -> Iterator[Any]:
+    """Sets the number of Dr.Jit's threads; it is as it was afterwards."""
+    before = dr.thread_count()
+    yield dr.set_thread_count
+    dr.set_thread_count(before)
+
+
+def test_sums_are_right_whatever_the_number_of_threads(arrays, threads):
+    def total(values: Any) -> Any:
+        sums = dr.zeros(type(values), 1)
+        dr.scatter_reduce(dr.ReduceOp.Add, sums, values, arrays.plain.UInt(0))
+        return sums
+
+    function, count = Frozen(total), 1 << 20
+    values = dr.full(arrays.plain.Float, 1, count)
+    dr.make_opaque(values)
+    for number in (1, 4, 1, 3):
+        threads(number)
+        assert [function(values)[0] for _ in range(8)] == [count] * 8
+
+
 def test_ctrl_c_while_arguments_are_read_stays_what_it_is(arrays):
     class Interrupting:
         DRJIT_STRUCT: ClassVar = {"values": arrays.plain.Float}

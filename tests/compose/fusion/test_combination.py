@@ -6,28 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from compose.fusion.combination import Fusion, trust
-from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import IMAGES, cropped, error, estimate, example, fuse, in_torch, smooth
+from tests.compose.fusion.examples import PlainParents, cropped, error, estimate, example, fuse, trusted
 
 
-def flat(value: float, side: int = 32) -> torch.Tensor:
-    return torch.full((1, 3, side, side), float(value))
+def flat(value: float, side: int = 32) -> np.ndarray:
+    return np.full((side, side, 3), value, np.float32)
 
 
-def counts(value: float, side: int = 32) -> torch.Tensor:
-    return torch.full((1, 1, side, side), float(value))
+def counts(value: float, side: int = 32) -> np.ndarray:
+    return np.full((side, side, 1), value, np.float32)
 
 
-def uniform(size: int = 32, count: float = 4, **values: float) -> Parents:
+def trust(estimate: np.ndarray, traced: np.ndarray, variance: np.ndarray, count: np.ndarray) -> np.ndarray:
+    return trusted(estimate, traced=traced, variance=variance, count=count)
+
+
+def uniform(size: int = 32, count: float = 4, **values: float) -> PlainParents:
     """Uniform parents: radiance and albedo of 0.5 but for the given values, variance 0.01."""
     shape = (size, size, 3)
     names = ("traced", "variance", "denoised", "splat", "albedo")
     images = {n: np.full(shape, values.get(n, 0.01 if n == "variance" else 0.5), np.float32) for n in names}
     number = np.full((size, size, 1), count, np.float32)
-    return Parents(**images, count=number, earlier=0 * number)
+    return PlainParents(**images, count=number, earlier=0 * number)
 
 
 def test_with_more_samples_the_traced_radiance_takes_over():
@@ -137,22 +138,22 @@ def test_a_pixel_of_unknown_variance_says_nothing_about_its_neighbours():
     """It counts as one without noise among nine blocks of four pixels: a 36th less noise at most."""
     traced = flat(1.2)
     variance = flat(0.01)
-    variance[..., 16, 16] = np.inf
+    variance[16, 16] = np.inf
     share = trust(flat(1), traced, variance, counts(64))
-    assert share[0, 0, 16, 16] == 1
-    np.testing.assert_allclose(share[0, 0, 17, 17], 0.25, rtol=0.05)
+    assert share[16, 16] == 1
+    np.testing.assert_allclose(share[17, 17], 0.25, rtol=0.05)
 
 
 def test_noise_alone_does_not_count_as_bias():
     """An exact estimate keeps nearly all of its share beside noisy samples, a biased one does not."""
     given = example(4, 4)
-    batch = lambda image: torch.from_numpy(image.copy()).permute(2, 0, 1)[None]  # noqa: E731
-    truth, traced = batch(given.radiance), batch(given.parents.traced)
-    variance = batch(given.parents.variance)
-    count = torch.full_like(truth[:, :1], 4)
+    truth, traced, variance, count = (
+        given.radiance,
+        *map(vars(given.parents).get, ("traced", "variance", "count")),
+    )
     assert trust(truth, traced, variance, count).mean() > 0.97
-    many = torch.full_like(count, 1024)
-    biased = truth + 3 * variance.sqrt().mean()
+    many = np.full_like(count, 1024)
+    biased = truth + 3 * np.sqrt(variance).mean()
     assert trust(biased, traced, variance, many).mean() < 0.3
 
 
@@ -173,66 +174,19 @@ def test_a_single_outlier_among_few_samples_counts_less(count, expected):
     which is at most 0.01 (1.5 + 20 / sqrt(count)): 0.43 for one sample and 0.05 for 400.
     """
     traced = flat(1)
-    traced[..., 16, 16] = 6
+    traced[16, 16] = 6
     share = trust(flat(1), traced, flat(0.01), counts(count))
-    np.testing.assert_allclose(share[0, 0, 16, 16], expected, rtol=2e-3)
-    assert share[0, 0, 2, 2] > 0.9
+    np.testing.assert_allclose(share[16, 16], expected, rtol=2e-3)
+    assert share[2, 2] > 0.9
 
 
 def test_black_samples_are_as_uncertain_as_their_neighbourhood():
     """A patch in which single samples have found no light shows no variance, but its neighbourhood does."""
-    generator = torch.Generator().manual_seed(0)
-    variance, traced = flat(0.25, 64), 1 + 0.5 * torch.randn((1, 3, 64, 64), generator=generator)
-    variance[..., 24:36, 24:36] = 0
-    traced[..., 24:36, 24:36] = 0
+    variance, noise = flat(0.25, 64), np.random.default_rng(0).normal(size=(64, 64, 3))
+    traced = 1 + 0.5 * noise.astype(np.float32)
+    variance[24:36, 24:36] = 0
+    traced[24:36, 24:36] = 0
     share = trust(flat(1, 64), traced, variance, counts(1, 64))
-    assert share[0, 0, 28:32, 28:32].min() > 0.1
+    assert share[28:32, 28:32].min() > 0.1
     # Without any variance around it, it would be believed.
-    assert trust(flat(1, 64), traced, 0 * variance, counts(1, 64))[0, 0, 28:32, 28:32].max() < 1e-6
-
-
-def broken(name: str, value: float) -> Parents:
-    """Parents of which one has a pixel that is out of the question."""
-    given = example(6, 4).parents
-    image = np.array(getattr(given, name))
-    image[10, 20, 1] = value
-    return replace(given, **{name: image})
-
-
-@pytest.mark.parametrize(("height", "width"), [(64, 64), (33, 47), (1, 1)])
-def test_images_of_torch_are_fused_like_those_of_numpy(height, width):
-    given = cropped(example(7, 4).parents, height, width)
-    one, other = fuse(given), fuse(in_torch(given))
-    np.testing.assert_array_equal(one.radiance, other.radiance)
-    np.testing.assert_array_equal(one.weights, other.weights)
-    assert one.excluded == other.excluded
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("traced", np.nan), ("denoised", -1), ("splat", np.inf), ("albedo", np.nan)]
-)
-def test_images_of_torch_are_left_as_they_are(name, value):
-    given = broken(name, value)
-    tensors = in_torch(given)
-    one, other = fuse(given), fuse(tensors)
-    np.testing.assert_array_equal(one.radiance, other.radiance)
-    assert one.excluded == other.excluded == (name != "albedo")
-    for image in IMAGES:
-        np.testing.assert_array_equal(getattr(tensors, image), getattr(given, image))
-
-
-def test_planes_side_by_side_are_fused_like_images():
-    """A tensor (3, h, w) that is seen as (h, w, 3)."""
-    given = in_torch(example(7, 4).parents)
-    planes = {n: getattr(given, n).permute(2, 0, 1).contiguous().permute(1, 2, 0) for n in IMAGES}
-    one, other = fuse(given), fuse(replace(given, **planes))
-    np.testing.assert_array_equal(one.radiance, other.radiance)
-
-
-def test_the_estimate_is_a_tensor_where_the_parents_are():
-    fusion = Fusion(in_torch(example(7, 4).parents))
-    found = fusion.fused(smooth(fusion.ratio))
-    for image in (found.radiance, found.weights):
-        assert isinstance(image, torch.Tensor)
-        assert image.device.type == "cpu"
-        assert image.dtype == torch.float32
+    assert trust(flat(1, 64), traced, 0 * variance, counts(1, 64))[28:32, 28:32].max() < 1e-6

@@ -6,19 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from scipy.ndimage import uniform_filter
 
-from compose.fusion.combination import trust
-from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import example, fuse
+from tests.compose.fusion import plain_fusion
+from tests.compose.fusion.examples import PlainParents, example, fuse, trusted
 from tests.extremes import extreme
 
 LARGEST = float(np.finfo(np.float32).max)
 SPOT = (40, 50)
 
 
-def with_firefly(parents: Parents, radiance: float, spp: int) -> Parents:
+def with_firefly(parents: PlainParents, radiance: float, spp: int) -> PlainParents:
     """Parents whose samples include one of a radiance, among `spp`, in one pixel."""
     traced, variance = parents.traced.copy(), parents.variance.copy()
     traced[SPOT] = radiance / spp
@@ -78,7 +76,7 @@ def test_samples_that_are_only_bright_are_kept(radiance):
 def test_uniform_radiance_of_any_size_is_kept(radiance, got):
     image, one = np.full((64, 64, 3), radiance, np.float32), np.full((64, 64, 3), 0.5, np.float32)
     none = 0 * one[..., :1]
-    fused = fuse(Parents(image, np.zeros_like(image), image, one, 4 + none, none, image))
+    fused = fuse(PlainParents(image, np.zeros_like(image), image, one, 4 + none, none, image))
     assert fused.excluded == 0
     assert got(float(np.abs(fused.radiance - radiance).max()), ".1e") <= 1e-3 * radiance
 
@@ -115,44 +113,33 @@ def test_a_lamp_is_not_out_of_proportion():
     assert np.isfinite(fused.radiance).all()
 
 
-def in_float64(function, *images: np.ndarray) -> np.ndarray:
-    """What a function of batches says in float64."""
-    return function(*(torch.from_numpy(image.astype(np.float64)) for image in images))
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6, 1e12, 1e18])
 def test_trust_matches_float64_at_any_brightness(scale):
     given = example(6, 16).parents
-    denoised, traced = (
-        np.moveaxis(getattr(given, n) * np.float32(scale), 2, 0)[None] for n in ("denoised", "traced")
-    )
-    variance = np.moveaxis(given.variance * np.float64(scale) ** 2, 2, 0)[None].astype(np.float32)
-    images = denoised, traced, variance, np.moveaxis(given.count, 2, 0)[None]
-    found = trust(*(torch.from_numpy(image) for image in images)).numpy()
-    np.testing.assert_allclose(found, in_float64(trust, *images), atol=2e-3)
+    denoised, traced = (getattr(given, n) * np.float32(scale) for n in ("denoised", "traced"))
+    variance = (given.variance * np.float64(scale) ** 2).astype(np.float32)
+    images = {"traced": traced, "variance": variance, "count": given.count}
+    np.testing.assert_allclose(trusted(denoised, **images), plain_fusion.trust(denoised, **images), atol=1e-5)
 
 
 @extreme(
     "the trust in a sample of 1e15", given="64x64, one pixel", expected="a number everywhere, as float64"
 )
 def test_trust_holds_squares_of_squares(got):
-    estimate, traced = np.ones((2, 1, 3, 64, 64), np.float32)
-    traced[..., 20, 20] = 1e15
+    estimate, traced = np.ones((2, 64, 64, 3), np.float32)
+    traced[20, 20] = 1e15
     variance = np.full_like(traced, 0.01)
-    variance[..., 20, 20] = 1e30
-    count = np.full((1, 1, 64, 64), 4, np.float32)
-    images = estimate, traced, variance, count
-    share = trust(*(torch.from_numpy(image) for image in images)).numpy()
+    variance[20, 20] = 1e30
+    images = {"traced": traced, "variance": variance, "count": np.full((64, 64, 1), 4, np.float32)}
+    share = trusted(estimate, **images)
     assert got(int(np.isnan(share).sum())) == 0
-    np.testing.assert_allclose(share, in_float64(trust, *images), atol=1e-5)
+    np.testing.assert_allclose(share, plain_fusion.trust(estimate, **images), atol=1e-5)
 
 
 def test_the_share_of_a_flat_estimate_matches_a_plain_twin():
     """v / (v + b^2) with means over 6 x 6 pixels, in plain NumPy."""
     v, b = 0.01, 0.2
     plain = uniform_filter(np.full((8, 8), v), 3) / uniform_filter(np.full((8, 8), b**2), 3)
-    shape = (1, 3, 16, 16)
-    share = trust(
-        torch.ones(shape), torch.full(shape, 1 + b), torch.full(shape, v), torch.full((1, 1, 16, 16), 64.0)
-    )
-    np.testing.assert_allclose(share.numpy()[0, 0, ::2, ::2], plain, rtol=1e-4)
+    flat = lambda value, channels=3: np.full((16, 16, channels), value, np.float32)  # noqa: E731
+    share = trusted(flat(1), traced=flat(1 + b), variance=flat(v), count=flat(64, 1))
+    np.testing.assert_allclose(share[::2, ::2], plain, rtol=1e-4)

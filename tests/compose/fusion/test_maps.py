@@ -1,87 +1,85 @@
-"""Small filters, against values by hand and other libraries."""
+"""Images and coarser ones of them on the device, against plain twins."""
 
 from __future__ import annotations
 
+import drjit as dr
 import numpy as np
 import pytest
-import torch
-from scipy.ndimage import uniform_filter
-from torch.nn import functional
 
-from compose.fusion.parents import (
-    as_batch,
-    box_mean,
-    enlarged,
-    halved,
-    luminance,
-    padded_to_even,
-    variance_of,
-)
-from compose.image.colour import luminance as luminance_of_image
+from compose.fusion.maps import Grid, among, block_means, box_mean, interpolated, pixels_of
 from tests import small
+from tests.compose.arrays_of import channels, floats, host, indices
+from tests.compose.fusion import plain_fusion
+
+SIZES = [(16, 24), (7, 9), (1, 5), (33, 70), (1, 1)]
 
 
-def batch(height: int, width: int, channels: int = 3, seed: int = 0) -> torch.Tensor:
-    return torch.from_numpy(small.rng(seed).uniform(0, 1, (2, channels, height, width)).astype(np.float32))
+def image(height: int, width: int, count: int = 2) -> np.ndarray:
+    return small.rng(3).uniform(0, 1, (height, width, count)).astype(np.float32)
 
 
-def test_box_means_repeat_the_borders():
-    image = batch(7, 9)
-    expected = uniform_filter(image.numpy(), (1, 1, 3, 3), mode="nearest")
-    np.testing.assert_allclose(box_mean(image), expected, atol=1e-6)
+def of_pixels(found: list[object], height: int, width: int) -> np.ndarray:
+    """(H, W, C) of what kernels say for the lanes of a grid."""
+    return host(found)[: height * width].reshape(height, width, len(found))
 
 
-def test_halving_averages_blocks():
-    image = torch.arange(8.0).view(1, 1, 2, 4)
-    assert halved(image).tolist() == [[[[2.5, 4.5]]]]
-    np.testing.assert_allclose(halved(batch(6, 8)), functional.avg_pool2d(batch(6, 8), 2), atol=1e-7)
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_lanes_have_the_pixels_in_order(arrays, height, width):
+    grid = Grid.of(arrays, height, width)
+    row, column, known = grid.pixels()
+    rows, columns = np.divmod(np.arange(height * width), width)
+    for found, expected in ((row, rows), (column, columns), (known, True)):
+        np.testing.assert_array_equal(np.array(found)[: height * width], expected)
+    assert not np.array(known)[height * width :].any()
+    np.testing.assert_array_equal(np.array(grid.index(row, column))[: height * width], rows * width + columns)
 
 
-def test_halving_an_odd_side_averages_what_is_left():
-    image = torch.arange(9.0).view(1, 1, 3, 3)
-    assert halved(image).tolist() == [[[[2, 3.5], [6.5, 8]]]]
+def test_beyond_the_border_lies_what_is_at_the_border(arrays):
+    grid = Grid.of(arrays, 3, 4)
+    row, column = (arrays.plain.Int(values) for values in ([-1, 5, 1, 0], [-2, 1, 9, 3]))
+    assert np.array(grid.index(row, column)).tolist() == [0, 9, 7, 3]
 
 
-def test_enlarging_is_bilinear_between_pixel_centres():
-    image = torch.tensor([[[[0.0, 4.0]]]])
-    assert enlarged(image, torch.zeros(1, 1, 1, 4)).tolist() == [[[[0, 1, 3, 4]]]]
+def test_coarser_images_are_half_as_large_rounded_up(arrays):
+    grids = Grid.pyramid(arrays, 13, 6, 4)
+    sizes = [(grid.height[0], grid.width[0]) for grid in grids]
+    assert sizes == [(13, 6), (7, 3), (4, 2), (2, 1)]
 
 
-def test_luminance_is_that_of_images():
-    image = small.rng().uniform(0, 2, (5, 6, 3)).astype(np.float32)
-    found = luminance(as_batch(image))
-    assert found.shape == (1, 1, 5, 6)
-    np.testing.assert_allclose(found[0, 0], luminance_of_image(image), rtol=1e-6)
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_box_means(arrays, height, width):
+    given = image(height, width)
+    grid = Grid.of(arrays, height, width)
+    row, column, _ = grid.pixels()
+    found = box_mean(among(channels(arrays, given.reshape(-1, 2))), grid, row, column)
+    np.testing.assert_allclose(of_pixels(found, height, width), plain_fusion.box_mean(given), atol=1e-6)
 
 
-def test_variance_from_moments():
-    """1 and 3: mean 2, mean square 5, variance 1; rounding must not make it negative."""
-    moments = torch.tensor([2.0, 5.0]).view(1, 2, 1, 1)
-    assert variance_of(moments).item() == 1
-    assert variance_of(torch.tensor([2.0, 3.99]).view(1, 2, 1, 1)).item() == 0
+@pytest.mark.parametrize("halvings", [1, 2])
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_block_means_are_over_the_pixels_that_there_are(arrays, height, width, halvings):
+    given = image(height, width)
+    grids = Grid.pyramid(arrays, height, width, 3)
+    row, column, _ = grids[halvings].pixels()
+    found = block_means(among(channels(arrays, given.reshape(-1, 2))), grids[0], row, column, halvings)
+    expected = plain_fusion.block_means(given.astype(np.float64), 2**halvings)
+    np.testing.assert_allclose(of_pixels(found, *expected.shape[:2]), expected, atol=1e-6)
 
 
-def test_an_image_becomes_a_batch():
-    image = small.rng().uniform(0, 1, (4, 5, 3))[:, ::-1]
-    found = as_batch(image)
-    assert found.shape == (1, 3, 4, 5)
-    assert found.dtype == torch.float32
-    assert found.is_contiguous()
-    np.testing.assert_allclose(found[0, 2], image[..., 2], rtol=1e-6)
+@pytest.mark.parametrize("halvings", [1, 2])
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_values_between_the_pixels_of_a_coarser_image(arrays, height, width, halvings):
+    grids = Grid.pyramid(arrays, height, width, 3)
+    coarse = image(grids[halvings].height[0], grids[halvings].width[0])
+    row, column, _ = grids[0].pixels()
+    taps = grids[halvings].taps(row, column, halvings)
+    found = interpolated(among(channels(arrays, coarse.reshape(-1, 2))), taps)
+    expected = plain_fusion.enlarged(coarse, 2**halvings, (height, width))
+    np.testing.assert_allclose(of_pixels(found, height, width), expected, atol=1e-6)
 
 
-def test_a_tensor_becomes_the_same_batch():
-    image = small.rng().uniform(0, 1, (4, 5, 3)).astype(np.float32)
-    planes = torch.from_numpy(np.moveaxis(image, 2, 0).copy()).permute(1, 2, 0)
-    for tensor in (torch.from_numpy(image), planes):
-        found = as_batch(tensor)
-        assert found.is_contiguous()
-        np.testing.assert_array_equal(found, as_batch(image))
-
-
-@pytest.mark.parametrize(("height", "width"), [(4, 6), (3, 6), (4, 5), (3, 5)])
-def test_odd_sides_are_padded_by_their_last_row_and_column(height, width):
-    image = batch(height, width)
-    padded = padded_to_even(image)
-    expected = np.pad(image.numpy(), ((0, 0), (0, 0), (0, height % 2), (0, width % 2)), mode="edge")
-    np.testing.assert_array_equal(padded, expected)
+def test_channels_of_an_image_that_lies_pixel_by_pixel(arrays):
+    given = image(4, 5, 3)
+    found = pixels_of(floats(arrays, given.ravel()))(indices(arrays, [7, 0]))
+    dr.eval(found)
+    np.testing.assert_array_equal(host(found), given.reshape(-1, 3)[[7, 0]])
