@@ -75,12 +75,19 @@ class Disc:
             index, _ = self.tiling.index(*self.arrays.rows_columns(self.pixels, self.width))
             dr.eval(index)
             return index
-        numbers = [self.box[0].start, self.box[1].start, self.shape[1]]
-        top, left, across = self.arrays.scalars(self.arrays.plain.UInt, numbers)
+        top, left, across = self._place
         row, column = self.arrays.rows_columns(self.pixels, self.width)
         index = (row - top) * across + (column - left)
-        dr.eval(index)
+        # In one kernel with what needs it first.
+        dr.schedule(index)
         return index
+
+    @cached_property
+    def _place(self) -> list[UInt]:
+        """First row and column of the rectangle and its width, each of width 1."""
+        assert self.box is not None, "a disc without pixels has no image"
+        numbers = [self.box[0].start, self.box[1].start, self.shape[1]]
+        return self.arrays.scalars(self.arrays.plain.UInt, numbers)
 
     @cached_property
     def _slots(self) -> Int:
@@ -101,8 +108,10 @@ class Disc:
         """Three Floats (h * w,), the radiance that an image of the frame has in the pixels of this one."""
         if self.tiling is not None:
             return image.at(*self.tiling.pixels)
-        assert self.box is not None, "a disc without pixels has no image"
-        return image.of_box(self.box)
+        height, width = self.shape
+        row, column = self.arrays.rows_columns(dr.arange(self.arrays.plain.UInt, height * width), width)
+        top, left, _ = self._place
+        return image.at(row + top, column + left)
 
     def images(self, channels: Sequence[Float], grounds: Sequence[Float | float]) -> list[Float]:
         """Floats (h * w,) of the image, not evaluated: channels (D,) in the disc, grounds elsewhere."""

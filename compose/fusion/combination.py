@@ -168,9 +168,7 @@ def trust(grids: list[Grid], images: Planes, estimate: list[Float]) -> Float:
     *maps, count = block_means(moments_at, grid, row, column, 1)
     dr.eval(maps, count)
     row, column, _ = eighth.pixels()
-    large = block_means(among(maps), half, row, column, 2)
-    dr.eval(large)
-    large = box_mean(among(large), eighth, row, column)
+    large = block_means(among(maps), half, row, column, 2, margin=4)
     dr.eval(large)
     row, column, _ = half.pixels()
     small, large = (

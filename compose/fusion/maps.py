@@ -96,25 +96,33 @@ def box_mean(
 
 
 def block_means(
-    values_at: Callable[[UInt], Sequence[_Value]], fine: Grid, row: Int, column: Int, halvings: int
+    values_at: Callable[[UInt], Sequence[_Value]],
+    fine: Grid,
+    row: Int,
+    column: Int,
+    halvings: int,
+    margin: int = 0,
 ) -> list[_Value]:
-    """Means of values over the pixels of a fine image that pixels of one `halvings` times coarser cover."""
-    integer, side = fine.arrays.plain.Int, 1 << halvings
+    """Means of values over the pixels of a fine image that pixels of one `halvings` times coarser cover.
 
-    def place(number: Int) -> tuple[Int, Int]:
-        return row * side + (number >> halvings), column * side + (number & (side - 1))
+    And over those around them, up to a margin in pixels of the fine image.
+    """
+    integer, side = fine.arrays.plain.Int, (1 << halvings) + 2 * margin
+    top, left = ((at << halvings) - margin for at in (row, column))
 
     def added(number: Int, count: Int, sums: list[_Value]) -> tuple[Int, Int, list[_Value]]:
-        i, j = place(number)
-        inside = (i < integer(fine.height)) & (j < integer(fine.width))
+        i, j = top + number // side, left + number % side
+        inside = (i >= 0) & (j >= 0) & (i < integer(fine.height)) & (j < integer(fine.width))
         found = values_at(fine.index(i, j))
         sums = [total + dr.select(inside, value, 0) for total, value in zip(sums, found, strict=True)]
         return number + 1, count + dr.select(inside, integer(1), 0), sums
 
     none = dr.zeros(integer, dr.width(row))
-    kinds = [type(value) for value in values_at(fine.index(*place(none)))]
+    kinds = [type(value) for value in values_at(fine.index(top, left))]
     start = [dr.zeros(kind, dr.width(row)) for kind in kinds]
+    # Lanes without a pixel have nothing to do.
+    used = top + margin < integer(fine.height)
     _, count, sums = dr.while_loop(
-        (none, none + 0, start), lambda number, *_: number < side * side, added, label="block means"
+        (none, none + 0, start), lambda number, *_: used & (number < side * side), added, label="block means"
     )
     return [total / type(total)(dr.maximum(count, 1)) for total in sums]

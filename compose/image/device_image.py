@@ -88,13 +88,6 @@ class DeviceImage:
         """Three Floats (N,), the radiance of pixels by their row-major indices UInt (N,)."""
         return self.at(*self.arrays.rows_columns(pixels, self.width))
 
-    def of_box(self, box: Box) -> list[Float]:
-        """Three Floats (h * w,), the radiance of a rectangle."""
-        height, width = shape_of(box)
-        row, column = self.arrays.rows_columns(dr.arange(self.arrays.plain.UInt, height * width), width)
-        top, left = self.arrays.scalars(self.arrays.plain.UInt, [side.start for side in box])
-        return self.at(row + top, column + left)
-
     def changed(self, pixels: UInt, channels: list[Float]) -> DeviceImage:
         """The image, in its own memory if it is whole, with other radiance in some pixels.
 

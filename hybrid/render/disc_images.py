@@ -45,8 +45,10 @@ class Underlay:
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
     """The images that are fused, of the disc's pixels; if `quick`, without denoised samples."""
     splats = disc.of_frame(underlay.radiance)
+    moments = [*samples.variance(), samples.earlier]
+    dr.schedule(moments)
     images = DiscImages.of(disc, samples, splats)
-    *variance, earlier = disc.images([*samples.variance(), samples.earlier], [*[dr.inf] * 3, 0.0])
+    *variance, earlier = disc.images(moments, [*[dr.inf] * 3, 0.0])
     denoised = None
     if not quick:
         # Tiles with their borders have twice as many pixels.
@@ -75,7 +77,7 @@ class DiscImages:
     """Samples and their auxiliary features as images of a disc, Floats (h * w,).
 
     Radiance (linear, the mean of the samples), albedo and normal have three channels each; the count is that
-    of samples per pixel.
+    of samples per pixel. They are not evaluated: not all are always used.
     """
 
     disc: Disc
@@ -91,6 +93,9 @@ class DiscImages:
         Surroundings are three Floats (h * w,), radiance of the image's pixels outside the disc; those that
         are not finite, or out of proportion to all samples, count as black.
         """
+        own = [*samples.radiance, *samples.albedo, *samples.normal, samples.count]
+        # In one kernel with the brightest sample.
+        dr.schedule(own, disc.inside)
         brightest: Float | float = 1.0
         for channel in samples.radiance:
             brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
@@ -98,11 +103,7 @@ class DiscImages:
         surroundings = [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]
         # No albedo is traced outside the disc; the image is the best substitute.
         like_albedo = [dr.clip(channel, 0, 1) for channel in surroundings]
-        channels = disc.images(
-            [*samples.radiance, *samples.albedo, *samples.normal, samples.count],
-            [*surroundings, *like_albedo, *[0.0] * 3, 1.0],
-        )
-        dr.eval(channels)
+        channels = disc.images(own, [*surroundings, *like_albedo, *[0.0] * 3, 1.0])
         return DiscImages(disc, channels[:3], channels[3:6], channels[6:9], channels[9])
 
     def tensors(self) -> list[mi.TensorXf]:

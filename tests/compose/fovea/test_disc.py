@@ -37,7 +37,7 @@ def test_values_go_where_their_pixels_are_and_come_back(arrays, gaze):
     disc = Foveation(gaze, 30, 20).region(64, 48).disc(arrays)
     image = small.rng().uniform(0, 1, (48, 64, 3)).astype(np.float32)
     pixels, values = np.array(disc.pixels), flat(image)[np.array(disc.pixels)]
-    part = host(image_on(arrays, image).of_box(disc.box)).reshape(*disc.shape, 3)
+    part = host(disc.of_frame(image_on(arrays, image))).reshape(*disc.shape, 3)
     np.testing.assert_array_equal(part, image[disc.box])
     np.testing.assert_array_equal(flat(part)[np.array(disc.inside)], values)
     np.testing.assert_array_equal(image_of(disc, values, part), part)

@@ -27,6 +27,14 @@ def block_means(image: Array, side: int) -> Array:
     return sums / np.add.reduceat(np.add.reduceat(ones, rows, axis=0), columns, axis=1)
 
 
+def block_means_around(image: Array, side: int, margin: int) -> Array:
+    """Means over blocks and what lies around them, pixel by pixel."""
+    height, width = image.shape[:2]
+    rows, columns = (range(0, size, side) for size in (height, width))
+    part = lambda start, size: slice(max(start - margin, 0), min(start + side + margin, size))  # noqa: E731
+    return np.array([[image[part(i, height), part(j, width)].mean((0, 1)) for j in columns] for i in rows])
+
+
 def enlarged(coarse: Array, side: int, shape: tuple[int, ...]) -> Array:
     """A coarse image, each of whose pixels covers so many a side, between the centres of its pixels."""
     for axis in range(2):
@@ -89,6 +97,13 @@ def _shares(given: dict[str, Array], seen: list[Array], expected: float) -> list
     return list(np.exp(logits) / np.exp(logits).sum(0))
 
 
+def fused(parents: PlainParents) -> Array:
+    """The estimate, drawn towards the samples."""
+    made = estimate(parents)
+    kept = trust(made, parents.traced, parents.variance, parents.count)[..., None]
+    return kept * made + (1 - kept) * parents.traced
+
+
 def trust(estimate: Array, traced: Array, variance: Array, count: Array) -> Array:
     """(H, W) share that an estimate keeps beside traced radiance."""
     estimate, traced, variance, count = (
@@ -100,7 +115,7 @@ def trust(estimate: Array, traced: Array, variance: Array, count: Array) -> Arra
     level = (estimate @ [[0.2126], [0.7152], [0.0722]]) ** 2 + 1e-8
     maps = block_means(np.concatenate([excess, excess**2, explained, level], 2), 2)
     number = block_means(count, 2)
-    small, large = box_mean(maps), enlarged(box_mean(block_means(maps, 4)), 4, maps.shape)
+    small, large = box_mean(maps), enlarged(block_means_around(maps, 4, 4), 4, maps.shape)
     excess, squares, explained, level = np.split(small, 4, 2)
     explained = np.maximum(explained, large[..., 2:3] / large[..., 3:4] * level)
     spread = np.maximum(squares - excess**2, large[..., 1:2] - large[..., 0:1] ** 2)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.compose.fusion import plain_fusion
 from tests.compose.fusion.examples import PlainParents, cropped, error, estimate, example, fuse, trusted
 
 
@@ -29,6 +30,20 @@ def uniform(size: int = 32, count: float = 4, **values: float) -> PlainParents:
     images = {n: np.full(shape, values.get(n, 0.01 if n == "variance" else 0.5), np.float32) for n in names}
     number = np.full((size, size, 1), count, np.float32)
     return PlainParents(**images, count=number, earlier=0 * number)
+
+
+@pytest.mark.parametrize("quick", [False, True])
+@pytest.mark.parametrize("spp", [1, 64])
+@pytest.mark.parametrize(("height", "width"), [(96, 96), (72, 45), (33, 95), (5, 3), (1, 1)])
+def test_the_result_is_that_of_the_formulas(height, width, spp, quick):
+    parents = cropped(example(2, spp).parents, height, width)
+    parents = replace(parents, denoised=None) if quick else parents
+    # Two pixels of which nothing is known, as around a disc.
+    parents.variance[0, 0] = parents.variance[-1, -1] = np.inf
+    found = fuse(parents)
+    np.testing.assert_allclose(found.radiance, plain_fusion.fused(parents), atol=1e-4)
+    unbiased = np.isfinite(parents.variance).all(2)
+    np.testing.assert_array_equal(found.weights[..., 0][~unbiased], 0)
 
 
 def test_with_more_samples_the_traced_radiance_takes_over():

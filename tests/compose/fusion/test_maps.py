@@ -66,6 +66,17 @@ def test_block_means_are_over_the_pixels_that_there_are(arrays, height, width, h
     np.testing.assert_allclose(of_pixels(found, *expected.shape[:2]), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("margin", [1, 4])
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_block_means_with_what_lies_around_the_blocks(arrays, height, width, margin):
+    given = image(height, width)
+    grids = Grid.pyramid(arrays, height, width, 3)
+    row, column, _ = grids[2].pixels()
+    found = block_means(among(channels(arrays, given.reshape(-1, 2))), grids[0], row, column, 2, margin)
+    expected = plain_fusion.block_means_around(given.astype(np.float64), 4, margin)
+    np.testing.assert_allclose(of_pixels(found, *expected.shape[:2]), expected, atol=1e-6)
+
+
 @pytest.mark.parametrize("halvings", [1, 2])
 @pytest.mark.parametrize(("height", "width"), SIZES)
 def test_values_between_the_pixels_of_a_coarser_image(arrays, height, width, halvings):

@@ -41,7 +41,8 @@ def test_an_image_is_read_from_its_buffer(arrays, buffer):
     np.testing.assert_array_equal(image.numpy(), expected)
     np.testing.assert_array_equal(np.array(image.tensor()), expected)
     height, width = expected.shape[:2]
-    every = image.of_box((slice(0, height), slice(0, width)))
+    row, column = np.divmod(np.arange(height * width), width)
+    every = image.at(indices(arrays, row), indices(arrays, column))
     np.testing.assert_array_equal(host(every), expected.reshape(-1, 3))
 
 
@@ -54,14 +55,6 @@ def test_pixels_are_found_by_their_index(arrays, buffer):
     row, column = np.divmod(chosen, image.width)
     found = image.at(indices(arrays, row), indices(arrays, column))
     np.testing.assert_array_equal(host(found), expected[row, column])
-
-
-@pytest.mark.parametrize("buffer", BUFFERS[:4])
-@pytest.mark.parametrize("box", [(0, 5, 0, 7), (1, 3, 2, 6), (4, 5, 6, 7), (0, 1, 0, 7), (0, 5, 3, 4)])
-def test_a_rectangle_is_cut_out(arrays, buffer, box):
-    image, expected = image_in(arrays, buffer)
-    rows, columns = slice(*box[:2]), slice(*box[2:])
-    np.testing.assert_array_equal(host(image.of_box((rows, columns))), expected[rows, columns].reshape(-1, 3))
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
