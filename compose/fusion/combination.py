@@ -123,14 +123,13 @@ def fused_radiance(
     """Three channels of the estimate, and the weights of PARENTS."""
     estimate, (splat, relit, *others) = mixed_radiance(grids, images, light, smooth, denoised, expected)
     kept = trust(grids, images, estimate)
-    grid, Float = grids[0], type(kept)
+    grid = grids[0]
     row, column, _ = grid.pixels()
     traced = images.at("traced", grid.index(row, column))
     radiance = [dr.lerp(a, b, kept) for a, b in zip(traced, estimate, strict=True)]
-    none = dr.zeros(Float, grid.lanes)
     weights = [1 - kept, *[kept * of for of in (*others, relit, splat)]]
     if not others:
-        weights.insert(PARENTS.index("denoised"), none)
+        weights.insert(PARENTS.index("denoised"), dr.zeros(type(kept), grid.lanes))
     dr.eval(radiance, weights)
     return radiance, weights
 

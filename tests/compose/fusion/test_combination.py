@@ -46,6 +46,13 @@ def test_the_result_is_that_of_the_formulas(height, width, spp, quick):
     np.testing.assert_array_equal(found.weights[..., 0][~unbiased], 0)
 
 
+def test_images_of_other_sizes_are_fused_by_the_same_recordings():
+    """The first ones are what a recording is made for, the others are of as many lanes or of multiples."""
+    for size in ((64, 64), (62, 64), (61, 67), (32, 128), (96, 32), (64, 64)):
+        parents = cropped(example(4, 4, 128).parents, *size)
+        np.testing.assert_allclose(fuse(parents).radiance, plain_fusion.fused(parents), atol=1e-4)
+
+
 def test_with_more_samples_the_traced_radiance_takes_over():
     """However wrong the other parents are, weight and radiance go to the samples and the error to theirs."""
     shares, excess = [], []
