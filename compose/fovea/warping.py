@@ -19,7 +19,7 @@ import numpy as np
 from compose.base.arrays import Arrays
 from compose.base.frozen import Frozen
 from compose.camera.camera import Camera
-from compose.image.device_image import DeviceImage
+from compose.image.device_image import DeviceImage, bilinear_taps
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Float, UInt
@@ -124,10 +124,10 @@ def warped_values(
     row = dr.arange(plain.UInt, count) // views.width
     column = dr.arange(plain.UInt, count) - row * views.width
     x, y = plain.Float(column) + 0.5, plain.Float(row) + 0.5
-    taps = _taps(arrays, x * (1 / CELL), y * (1 / CELL), views.columns, views.rows)
+    taps = bilinear_taps(arrays, x * (1 / CELL), y * (1 / CELL), views.columns, views.rows)
     own = dr.sum([weight * dr.gather(plain.Float, found, i * views.columns + j) for i, j, weight in taps])
     total = [plain.Float(0) for _ in range(3)]
-    for i, j, weight in _taps(arrays, *_Sight(views, x, y).at(own), views.width, views.height):
+    for i, j, weight in bilinear_taps(arrays, *_Sight(views, x, y).at(own), views.width, views.height):
         first = (i * stride + j) * channels
         for c in range(3):
             total[c] = dr.fma(weight, dr.gather(plain.Float, values, first + c), total[c])
@@ -184,18 +184,3 @@ def _found(arrays: Arrays, views: _Views, nearness: Float) -> Float:
         seen = dr.select(move < _CONVERGED, dr.maximum(seen, own), seen)
     # The last search began at infinity: what it met lies beside what hides the background.
     return dr.select(seen < 0, background, seen)
-
-
-def _taps(arrays: Arrays, x: Float, y: Float, width: UInt, height: UInt) -> list[tuple[UInt, UInt, Float]]:
-    """Rows, columns and weights of the four samples of a grid around positions, or of those at its border.
-
-    Sizes and positions count samples, whose centres lie at +0.5.
-    """
-    plain, axes = arrays.plain, []
-    for at, size in ((y, height), (x, width)):
-        last = size - 1
-        place = dr.clip(at - 0.5, 0, plain.Float(last))
-        first = plain.UInt(place)
-        share = place - plain.Float(first)
-        axes.append(((first, 1 - share), (dr.minimum(first + 1, last), share)))
-    return [(i, j, down * along) for i, down in axes[0] for j, along in axes[1]]

@@ -73,59 +73,59 @@ class Fusion:
 
     def fused(self, smooth: TensorXf, pixels: UInt) -> Fused:
         """One estimate from all parents, in pixels (N,); `smooth` is the denoised ratio."""
-        radiance, weights = _fused(*self._given(smooth))
+        radiance, weights = _fused(self._given(smooth))
         return Fused(among(radiance)(pixels), among(weights)(pixels), self._excluded)
 
     def estimate(self, smooth: TensorXf, pixels: UInt) -> list[Float]:
         """Three channels (N,), before they are drawn towards the samples."""
-        return among(_mixed(*self._given(smooth))[0])(pixels)
+        return among(_mixed(self._given(smooth))[0])(pixels)
 
     def candidates(self, smooth: TensorXf) -> tuple[list[list[Float]], list[Float]]:
         """What is mixed, and what its shares depend on (compose.fusion.estimates)."""
-        grids, planes, light, image, denoised, expected = self._given(smooth)
-        found = candidates_of(grids, light, image, denoised)
-        return found, evidence(grids, planes, light, found, expected)
+        return self._given(smooth).candidates()
 
-    def _given(self, smooth: TensorXf) -> tuple[list[Grid], Planes, Light, Float, Float | None, Float]:
+    def _given(self, smooth: TensorXf) -> Given:
         given = self._parents
         expected = constant(given.arrays.plain.Float, given.expected)
-        return given.grids, given.planes, self._light, smooth.array, given.denoised, expected
+        return Given(given.grids, given.planes, self._light, smooth.array, given.denoised, expected)
 
 
-def mixed_radiance(
-    grids: list[Grid],
-    images: Planes,
-    light: Light,
-    smooth: Float,
-    denoised: Float | None,
-    expected: Float,
-) -> tuple[list[Float], list[Float]]:
+@dataclass(frozen=True)
+class Given:
+    """What kernels fuse: parents, and their light with its denoised ratio."""
+
+    grids: list[Grid]
+    images: Planes
+    light: Light
+    smooth: Float
+    denoised: Float | None
+    expected: Float  # of width 1
+
+    def candidates(self) -> tuple[list[list[Float]], list[Float]]:
+        """What is mixed, and what its shares depend on (compose.fusion.estimates)."""
+        found = candidates_of(self.grids, self.light, self.smooth, self.denoised)
+        return found, evidence(self.grids, self.images, self.light, found, self.expected)
+
+
+def mixed_radiance(given: Given) -> tuple[list[Float], list[Float]]:
     """Three channels of a mixture of the candidates, and a weight of each of these."""
-    candidates = candidates_of(grids, light, smooth, denoised)
-    weights = shares(evidence(grids, images, light, candidates, expected))
+    candidates, seen = given.candidates()
+    weights = shares(seen)
     dr.eval(weights)
-    row, column, _ = grids[0].pixels()
-    weights = interpolated(among(weights), grids[2].taps(row, column, 2))
+    row, column, _ = given.grids[0].pixels()
+    weights = interpolated(among(weights), given.grids[2].taps(row, column, 2))
     pairs = [zip(weights, channel, strict=True) for channel in zip(*candidates, strict=True)]
     radiance = [dr.sum([weight * value for weight, value in pair]) for pair in pairs]
     dr.eval(radiance, weights)
     return radiance, weights
 
 
-def fused_radiance(
-    grids: list[Grid],
-    images: Planes,
-    light: Light,
-    smooth: Float,
-    denoised: Float | None,
-    expected: Float,
-) -> tuple[list[Float], list[Float]]:
+def fused_radiance(given: Given) -> tuple[list[Float], list[Float]]:
     """Three channels of the estimate, and the weights of PARENTS."""
-    estimate, (splat, relit, *others) = mixed_radiance(grids, images, light, smooth, denoised, expected)
-    kept = trust(grids, images, estimate)
-    grid = grids[0]
+    estimate, (splat, relit, *others) = mixed_radiance(given)
+    kept, grid = trust(given.grids, given.images, estimate), given.grids[0]
     row, column, _ = grid.pixels()
-    traced = images.at("traced", grid.index(row, column))
+    traced = given.images.at("traced", grid.index(row, column))
     radiance = [dr.lerp(a, b, kept) for a, b in zip(traced, estimate, strict=True)]
     weights = [1 - kept, *[kept * of for of in (*others, relit, splat)]]
     if not others:

@@ -14,6 +14,7 @@ import drjit as dr
 
 from compose.base.arrays import Arrays
 from compose.base.frozen import capacity
+from compose.image.device_image import bilinear_taps
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, Float64, Int, UInt
@@ -70,13 +71,10 @@ class Grid:
 
     def taps(self, row: Int, column: Int, halvings: int) -> list[tuple[UInt, Float]]:
         """Indices of the four pixels around those of an image `halvings` times finer, and their weights."""
-        Int, Float, axes = self.arrays.plain.Int, self.arrays.plain.Float, []
-        for at in (row, column):
-            place = (Float(at) + 0.5) * 0.5**halvings - 0.5
-            first = dr.floor(place)
-            share = place - first
-            axes.append(((Int(first), 1 - share), (Int(first) + 1, share)))
-        return [(self.index(i, j), down * across) for i, down in axes[0] for j, across in axes[1]]
+        scale, Float = 0.5**halvings, self.arrays.plain.Float
+        y, x = ((Float(at) + 0.5) * scale for at in (row, column))
+        around = bilinear_taps(self.arrays, x, y, self.width, self.height)
+        return [(i * self.width + j, weight) for i, j, weight in around]
 
 
 def interpolated(

@@ -40,6 +40,23 @@ def all_plain(channels: Sequence[Float]) -> bool:
     return not bool(dr.any(reduce(or_, wrong)))
 
 
+def bilinear_taps(
+    arrays: Arrays, x: Float, y: Float, width: UInt, height: UInt
+) -> list[tuple[UInt, UInt, Float]]:
+    """Rows, columns and weights of the four samples of a grid around positions, or of those at its border.
+
+    Sizes and positions count samples, whose centres lie at +0.5.
+    """
+    plain, axes = arrays.plain, []
+    for at, size in ((y, height), (x, width)):
+        last = size - 1
+        place = dr.clip(at - 0.5, 0, plain.Float(last))
+        first = plain.UInt(place)
+        share = place - plain.Float(first)
+        axes.append(((first, 1 - share), (dr.minimum(first + 1, last), share)))
+    return [(i, j, down * along) for i, down in axes[0] for j, along in axes[1]]
+
+
 @dataclass(frozen=True)
 class DeviceImage:
     """An image of linear radiance, possibly part of a larger buffer."""
