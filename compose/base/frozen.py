@@ -54,6 +54,20 @@ def collector_paused() -> Iterator[None]:
                 gc.enable()
 
 
+@contextmanager
+def interrupted_by_ctrl_c() -> Iterator[None]:
+    """Raises Ctrl-C as KeyboardInterrupt where Dr.Jit calls Python, which makes it a RuntimeError."""
+    try:
+        yield
+    except RuntimeError as error:
+        cause: BaseException | None = error
+        while isinstance(cause, RuntimeError):
+            cause = cause.__cause__
+        if isinstance(cause, KeyboardInterrupt):
+            raise cause from None
+        raise
+
+
 @dataclass(frozen=True)
 class AnySize:
     """Arrays that may have other widths in the same recording: only to be gathered from.
@@ -109,15 +123,8 @@ class Frozen(Generic[_Result]):
     def replayed(self, arguments: tuple[object, ...]) -> _Result:
         """The result; the collector is paused."""
         flat = _flattened(arguments)
-        try:
+        with interrupted_by_ctrl_c():
             found = self._recorded(flat, hash((_key(flat, self._by_size), dr.thread_count())))
-        except RuntimeError as error:
-            cause: BaseException | None = error
-            while isinstance(cause, RuntimeError):
-                cause = cause.__cause__
-            if isinstance(cause, KeyboardInterrupt):
-                raise cause from None
-            raise
         return cast("_Result", _rebuilt(found))
 
     def _plain(self, arguments: object, key: int) -> object:

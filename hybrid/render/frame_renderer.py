@@ -25,12 +25,14 @@ from hybrid.base.identity import require_scene
 from hybrid.render.disc_images import Underlay
 from hybrid.render.expected_errors import ExpectedErrors
 from hybrid.render.forest_attachments import scene_as_trained
+from hybrid.render.forest_light import ForestLight
 from hybrid.render.fovea import Fovea, FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import DEFAULTS, EXTRA_AOVS, INTERACTIVE, FrameSettings
 from hybrid.render.hole_filling import MOVING, STILL, Fill, Filler
 from hybrid.render.irradiance import CachedTracer, cache_for, filled_cache
 from hybrid.render.periphery import Periphery
+from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
 from pathtrace.trace.film import frame_positions
@@ -72,6 +74,9 @@ class Renderer:
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
         self._as_loaded = True
+        # What was known of the light before it changed, and what draws the forest in other light.
+        self._usual: IrradianceCache | None = None
+        self._light: ForestLight | None = None
         self.show_forest(forest)
 
     def show_forest(self, forest: Forest) -> None:
@@ -80,6 +85,8 @@ class Renderer:
         self.periphery, self._time = Periphery(self._arrays, forest), 0.0
         self._filler, self._errors = Filler(self._arrays, forest), ExpectedErrors(self._arrays, forest)
         self._foveas.clear()
+        self._light = None
+        self._light_splats()
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
         """The scene's tracer with an integrator; `tracer` is the unbiased one."""
@@ -97,9 +104,10 @@ class Renderer:
 
         Samples of earlier frames are dropped. With the cached integrator, each of the following frames renews
         a part of the light that is known, until all of it is (`light_renewed`); the first one follows the
-        change roughly. The splats stay as they were trained.
+        change roughly. So do splats, whose radiance follows the irradiance of surfaces, if a frame with that
+        integrator was rendered before the change; else they stay as they were trained.
         """
-        self._as_loaded = False
+        self._change()
         if self._cached is not None:
             self._cached.lights_changed()
         self.forget()
@@ -108,14 +116,19 @@ class Renderer:
         """Says that geometry or materials of `scene.mitsuba` changed.
 
         Samples of earlier frames are dropped, and the next frame of the cached integrator waits until its
-        cache is filled anew.
+        cache is filled anew. Splats stay where they are; their light follows as in `lights_changed`.
         """
-        self._as_loaded = False
+        self._change()
         if self.scene.instanced is not None:
             self.scene.instanced.follow()
         self.tracer, self._cached = Tracer(self.scene, roulette_depth=self._roulette_depth), None
         self.forget()
         self._foveas.clear()
+
+    def _change(self) -> None:
+        if self._as_loaded and self._cached is not None:
+            self._usual = self._cached.cache
+        self._as_loaded = False
 
     @property
     def light_renewed(self) -> float:
@@ -134,12 +147,26 @@ class Renderer:
             # The stored cache is that of the scene as it was loaded.
             cache = cache_for(self.scene) if self._as_loaded else filled_cache(self.scene)
             self._cached = CachedTracer(self.scene, cache, self._roulette_depth)
+            self._light_splats()
         return self._cached
 
     def _relight(self, settings: FrameSettings) -> None:
         """Renews a part of the light that is known, if paths end in it and it is old."""
-        if settings.used_integrator is Integrator.CACHED:
-            self._cached_tracer().update()
+        if settings.used_integrator is Integrator.CACHED and self.light_renewed < 1:
+            cached = self._cached_tracer()
+            is_first = not cached.renewed
+            cached.update()
+            if is_first or cached.renewed == 1:
+                self._light_splats()
+
+    def _light_splats(self) -> None:
+        """Draws the forest in the light that is known, once that is not the usual one any more."""
+        if self._usual is None or self._cached is None:
+            return
+        if self._light is None:
+            self._light = ForestLight(self.periphery.forest, self._usual)
+        self.periphery = Periphery(self._arrays, self._light.under(self._cached.cache))
+        self.periphery.set_time(self._time)
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
         """Renders one frame.
@@ -157,12 +184,12 @@ class Renderer:
         self.fovea_of(settings)
         clock = PassClock()
         camera, settings = self._begun(settings)
+        self._relight(settings)
         region = self._region(camera, settings)
         disc = region.disc(self._arrays)
         clock.lap("region")
         detail, drawn, under = self._drawn(camera, settings, region, clock)
         clock.lap("splat")
-        self._relight(settings)
         fill = self._fill(camera, settings, seed)
         periphery = drawn if fill is None else fill.over(drawn)
         underlay = self.underlay(camera, settings, region, fill, under)

@@ -136,29 +136,30 @@ def filled_cache(scene: Scene, progress: Steps = no_progress) -> IrradianceCache
 class CachedTracer:
     """Traces a scene by paths that end in its cache, whose light follows the lights of the scene.
 
-    Russian roulette ends paths from a path depth on, by default that of the scene. `tracer` traces with what
-    is known of the light now.
+    Russian roulette ends paths from a path depth on, by default that of the scene. `tracer` traces with
+    `cache`, what is known of the light now.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, roulette_depth: int | None):
         self.tracer = Tracer(scene, roulette_depth=roulette_depth, cache=cache)
-        self._scene, self._cache = scene, cache
+        self._scene, self.cache = scene, cache
         self._relighting: Relighting | None = None
 
     @property
     def renewed(self) -> float:
         """Share, 0 to 1, of the work that was done to follow the last change of lights; 1 if none changed."""
-        return self._cache.renewed if self._relighting is None else self._relighting.renewed
+        return self.cache.renewed if self._relighting is None else self._relighting.renewed
 
     def lights_changed(self) -> None:
         """Says that the scene's lights changed; the light known now is old."""
         if self._relighting is not None:
             self._relighting.change()
         # Without cells, nothing is known, and all paths are traced to their ends.
-        elif len(self._cache.cells):
-            self._relighting = Relighting(self._scene, self._cache)
+        elif len(self.cache.cells):
+            self._relighting = Relighting(self._scene, self.cache)
 
     def update(self) -> None:
         """Renews a part of the light; to be called before each frame, it takes no time when all is known."""
         if self._relighting is not None and self._relighting.renewed < 1:
-            self.tracer.relight(self._relighting.update())
+            self.cache = self._relighting.update()
+            self.tracer.relight(self.cache)

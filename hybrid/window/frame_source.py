@@ -11,12 +11,14 @@ from typing import Protocol
 import numpy as np
 
 from compose.camera.camera import Camera
+from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import PassClock, release_memory
 from hybrid.base.progress import Progress, bars_of
 from hybrid.preparation.preparation import prepare, with_forest
 from hybrid.preparation.scene_plan import as_stored, with_plan_of
 from hybrid.preparation.stages import GLIMPSE, PreparationSettings
 from hybrid.render.forest_attachments import scene_as_trained
+from hybrid.render.forest_light import ForestLight
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
@@ -28,6 +30,7 @@ from hybrid.window.window_views import ConvergingFrame, image_of, late_warped
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace import Integrator
+from splat.io.forest_file import save_forest
 
 # Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
 _PATIENT_SPP = 6
@@ -35,6 +38,8 @@ _PATIENT_SPP = 6
 _PATIENT_STEPS = 8
 # Samples per pixel of the disc beyond which nobody sees a difference.
 _ENOUGH = 4096
+# In the folder of a scene that has changed: the forest of before, in the light of now.
+_AS_CHANGED = "as-changed.safetensors"
 # Seconds between two releases of unused memory, each of which takes three to six milliseconds.
 _RELEASE_EVERY = 2.0
 
@@ -142,12 +147,14 @@ class SceneSource:
             return False
         scene, before = self._watched.changed(), self.renderer.scene
         if scene is not None:
-            # Shown with the splats of before until it is learnt.
-            scene = with_plan_of(scene, before)
+            # Shown with the splats of before, in the light of now, until it is learnt.
+            scene, forest = with_plan_of(scene, before), self.renderer.periphery.forest
             if self._last is not None and self._last.request.settings.used_integrator is Integrator.CACHED:
-                cache_for(scene, bars_of(report))
-            forest = self.renderer.periphery.forest
-            self.renderer = LiveRenderer(scene, replace(forest, scene_name=scene.name, scene_hash=scene.hash))
+                forest = ForestLight(forest, cache_for(before)).under(cache_for(scene, bars_of(report)))
+            forest = replace(forest, scene_name=scene.name, scene_hash=scene.hash)
+            self._forest = scene_folder(scene.name, scene.hash) / _AS_CHANGED
+            save_forest(self._forest, forest)
+            self.renderer = LiveRenderer(scene, forest)
             self._last = self._converging = None
             self._watched.learn(self._forest, urgent=True)
             return True

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.frozen import interrupted_by_ctrl_c
 from compose.camera.camera import Camera
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.backend import require_backend
@@ -203,7 +204,8 @@ class Tracer:
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the centre of each position."""
         whole = Batch.of(camera, positions, 1, 0, 0)
-        found = [self._hits(camera, part.positions) for part in whole.parts(_MAX_LANES)]
+        with interrupted_by_ctrl_c():
+            found = [self._hits(camera, part.positions) for part in whole.parts(_MAX_LANES)]
         return Hits(*(np.concatenate([getattr(hits, f.name) for hits in found]) for f in fields(Hits)))
 
     def _hits(self, camera: Camera, positions: FilmPositions) -> Hits:

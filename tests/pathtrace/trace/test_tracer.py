@@ -374,6 +374,16 @@ def test_hits_lie_on_the_surfaces():
     assert hits.shape.dtype == np.int32
 
 
+def test_ctrl_c_while_rays_are_followed_stays_what_it_is(monkeypatch):
+    def interrupting(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    scene = load_scene(small.corner())
+    monkeypatch.setattr(dr, "max", interrupting)
+    with pytest.raises(KeyboardInterrupt):
+        Tracer(scene).hits(scene.camera, frame_positions(scene.camera))
+
+
 def test_hits_go_through_the_middle_of_each_position():
     """Of pixels, and of boxes that are 4 pixels wide and 2 high."""
     scene = load_scene(small.furnace())
