@@ -67,6 +67,9 @@ MEASUREMENTS = {
     "raster": "hybrid bench raster",
     "stored": f"python -m benchmarks.stored room {_FRAMES}",
     "acuity": "python -m benchmarks.fit_acuity VISION",
+    "flicker": "python -m benchmarks.fit_flicker VISION",
+    "gaze": f"hybrid bench gaze room {_FRAMES} --size 960 540 --latency 50 --gaze-error 0 --fps 72 "
+    "--seconds 0.5 --clips 3",
     "studies": "python -m benchmarks.studies VISION",
 }
 

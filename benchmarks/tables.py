@@ -291,6 +291,26 @@ def acuity() -> str:
     return _table(" | ".join(header), rows, "acuity", below=left_out)
 
 
+def flicker() -> str:
+    """How far the sensitivity to flicker is from that of people in each study."""
+    rows = [
+        f"{name} | {study['points']} | {study['factor']:+.2f} | {study['rms']:.2f} | "
+        f"{_known(study['off_axis'], '+.2f')}"
+        for name, study in result("flicker")["studies"].items()
+    ]
+    return _table("study | thresholds | factor | rms without it | off the fovea", rows, "flicker")
+
+
+def gaze() -> str:
+    """What somebody who looks around sees of each method."""
+    form = (
+        "{method} | {jod:.2f} | {low:.2f} to {high:.2f} | {foveal_jod:.2f} | {foveal_low:.2f} to "
+        "{foveal_high:.2f} | {flicker:.2f} | {ms:.0f}"
+    )
+    header = "method | JOD | 95 % interval | JOD, fovea | 95 % interval | flicker | ms"
+    return _table(header, _rows(form, result_rows("gaze")), "gaze")
+
+
 def studies() -> str:
     """How exactly studies show what they ask for, and how far their analysis can be trusted."""
     found = result("studies")
@@ -527,6 +547,8 @@ _MADE = (
     level_times,
     preparation,
     acuity,
+    flicker,
+    gaze,
     studies,
     frames,
     raster,

@@ -315,7 +315,7 @@ def _print_judged(rows: list[dict[str, Any]]) -> None:
         "{method:<22}{latency_ms:>10}{gaze_error_deg:>11}{jod:>8}{low:>8} {high:>6}"
         "{foveal_jod:>8}{foveal_low:>8} {foveal_high:>6}{flicker:>9}{ms:>9}"
     )
-    styles = {"latency_ms": "g", "gaze_error_deg": "g", "flicker": ".1%", "ms": ".1f"}
+    styles = {"latency_ms": "g", "gaze_error_deg": "g", "ms": ".1f"}
     for row in rows:
         cells = {name: "-" if value is None else value for name, value in row.items()}
         numbers = {n: format(v, styles.get(n, ".2f")) for n, v in cells.items() if isinstance(v, float)}

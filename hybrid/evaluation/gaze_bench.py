@@ -16,8 +16,8 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera, View, eyes
 from compose.eye.display import Display
-from compose.eye.gaze import AngularTrace, Gaze, GazeTrace, eccentricity, simulated
-from compose.image.colour import Image, luminance
+from compose.eye.gaze import AngularTrace, Gaze, GazeTrace, simulated
+from compose.image.colour import Image
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import Journal, measured_identity, short_hash
 from hybrid.base.progress import Steps
@@ -25,6 +25,7 @@ from hybrid.evaluation.baselines_traced import FullTrace
 from hybrid.evaluation.moving_bench import BETWEEN_EYES, HYBRID, SPLATS, TRACED
 from hybrid.evaluation.temporal_baselines import Svgf, TemporalAntialiasing, TracedFrame
 from hybrid.evaluation.verdicts import mean_interval
+from hybrid.measure.flicker import added_flicker
 from hybrid.measure.perceptual_metrics import jod, jod_of_video
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
@@ -48,10 +49,6 @@ _OFFSET, _DRIFT, _TURN = 0.8, 0.6, 3.0
 _MOST_DEGREES = 85.0
 # Degrees from the gaze up to which JOD is that of the fovea.
 _FOVEA = 5.0
-# Flicker is that of pixels at least so many degrees from the gaze, and this percentile of all their changes.
-_PERIPHERY, _PERCENTILE = 10.0, 99.0
-# Added to the luminance of which a change is a share: that of a display's black in a lit room.
-_BLACK = 0.01
 # Frames have seeds of their own in each clip.
 _SEEDS = 100_000
 
@@ -124,9 +121,9 @@ def bench_gaze(
 
     Rows have method, latency_ms and gaze_error_deg (None if the method does not follow the gaze); jod of the
     whole video and foveal_jod, means over the clips, with low and high, foveal_low and foveal_high, their 95
-    % intervals over the clips, and both by clip, which methods share; each None if unknown; flicker, as
-    `added_flicker` has it; ms, the median over all frames; width and height of the display; clips and frames
-    of each. UserError if the trace is too short, or nobody can walk.
+    % intervals over the clips, and both by clip, which methods share; each None if unknown; flicker, in
+    thresholds of the eye (`added_flicker`); ms, the median over all frames; width and height of the display;
+    clips and frames of each. UserError if the trace is too short, or nobody can walk.
     """
     trackings = [Tracking(*pair) for pair in product(*tracked)]
     longest, display = max(one.latency_ms for one in trackings) / 1000, settings.display
@@ -182,25 +179,6 @@ def starts_of(trace: GazeTrace, clips: Clips, longest: float) -> list[float]:
     """When in the trace clips begin, in seconds: all over it, behind what the longest latency shows."""
     first, last = _LEAD_IN / clips.fps + longest, trace.duration - clips.frames / clips.fps
     return [float(start) for start in np.linspace(first, last, clips.count)]
-
-
-def added_flicker(
-    images: Sequence[Image], truths: Sequence[Image], gazes: Sequence[Gaze], display: Display
-) -> float | None:
-    """99th percentile of the temporal contrast that a video adds in the periphery; None if none is seen.
-
-    It is the change of luminance from frame to frame that differs from the reference's, over the reference's
-    luminance; in pixels over 10 degrees from the gaze, of luminance as the display shows it.
-    """
-    height, width = images[0].shape[:2]
-    eye, found = display.viewer(width, height), []
-    shown, expected = ([luminance(np.clip(one, 0, 1)) for one in of] for of in (images, truths))
-    for now in range(1, len(images)):
-        periphery = eccentricity(eye, gazes[now]) > _PERIPHERY
-        added = shown[now] - shown[now - 1] - (expected[now] - expected[now - 1])
-        found.append((np.abs(added) / (expected[now] + _BLACK))[periphery])
-    changes = np.concatenate(found)
-    return float(np.percentile(changes, _PERCENTILE)) if len(changes) else None
 
 
 def foveal_jod(
@@ -290,7 +268,7 @@ class _Bench:
             truths = [self._truth(camera) for camera in cameras[_LEAD_IN:]]
             scores["jod"].append(jod_of_video(images, truths, fps, display, gazes))
             scores["foveal_jod"].append(foveal_jod(images, truths, gazes, display))
-            scores["flicker"].append(added_flicker(images, truths, gazes, display))
+            scores["flicker"].append(added_flicker(images, truths, gazes, fps, display))
             milliseconds += times
         return {name: _mean(of) for name, of in scores.items()} | {"ms": milliseconds}
 

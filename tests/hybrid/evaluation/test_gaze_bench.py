@@ -19,7 +19,6 @@ from hybrid.evaluation.gaze_bench import (
     TAA,
     Clips,
     Tracking,
-    added_flicker,
     bench_gaze,
     starts_of,
     trace_of,
@@ -101,22 +100,6 @@ def test_the_simulated_viewer_looks_long_enough():
         assert len(starts) == clips.count
         assert min(np.diff(starts)) > clips.frames / clips.fps
         assert starts[-1] + clips.frames / clips.fps <= trace.duration + 1e-9
-
-
-def test_flicker_is_what_the_reference_does_not_do_beyond_ten_degrees():
-    """The gaze is at the left edge."""
-    truths = [np.full((32, 48, 3), level, np.float32) for level in (0.2, 0.4, 0.4)]
-    gazes = [Gaze(0.0, 0.5)] * 3
-    assert added_flicker(truths, truths, gazes, DISPLAY) == 0
-    near, far = ([truth.copy() for truth in truths] for _ in range(2))
-    near[1][12:20, :4] += 0.1
-    assert added_flicker(near, truths, gazes, DISPLAY) == 0
-    far[1][:, -20:] += 0.1
-    assert added_flicker(far, truths, gazes, DISPLAY) == pytest.approx(0.1 / 0.41, rel=1e-4)
-    # What the display clips, nobody sees.
-    bright = [truth + 1 for truth in truths]
-    assert added_flicker([bright[0], bright[1] + 1, bright[2]], bright, gazes, DISPLAY) == 0
-    assert added_flicker(far, truths, gazes, replace(DISPLAY, fov=1.0)) is None
 
 
 def test_the_fovea_is_judged_around_each_gaze(monkeypatch):

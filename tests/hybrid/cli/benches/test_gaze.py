@@ -68,7 +68,7 @@ def test_each_row_has_a_line_and_names_what_was_shown(monkeypatch, tmp_path, cap
         assert (written["display"], written["gaze"], written["scene"]) == ("desktop", "somebody", "cloth")
     shown = [line.split() for line in capsys.readouterr().out.splitlines()[-2:]]
     assert shown == [
-        ["hybrid", "50", "1.5", "8.13", "-", "-", "6.00", "-", "-", "12.3%", "20.1"],
+        ["hybrid", "50", "1.5", "8.13", "-", "-", "6.00", "-", "-", "0.12", "20.1"],
         ["TAA", "-", "-", "7.00", "-", "-", "6.00", "-", "-", "-", "3.0"],
     ]
 
