@@ -297,7 +297,7 @@ class Renderer:
             under = self.periphery.under_disc(camera, settings, region)
         # A copy: what lies under the disc of a still view is drawn once.
         radiance = under if fill is None else fill.over(under.packed())
-        return Underlay(camera, radiance, self._errors.typical)
+        return Underlay(camera, radiance, self._errors.typical_in(camera))
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
         """A frame's disc, without rendering a periphery."""

@@ -15,6 +15,7 @@ from hybrid.preparation.stage_planner import (
     JobClock,
     Planner,
     Seconds,
+    affordable,
     expected_seconds,
     next_stage,
     step_seconds,
@@ -163,6 +164,45 @@ def test_the_first_views_tell_how_large_the_first_stage_can_be(tmp_path):
     again = begun(tmp_path / "job", 0.6, 10.0)
     assert not again.is_to_fit
     assert again.stages == [fitted]
+
+
+def two_stages(needs: Needs) -> float:
+    """Expected seconds of the first stage and of half of the second."""
+    first, second = planned_stage(0, needs), planned_stage(1, needs).in_time(0.5)
+    return sum(expected_seconds(*of).at(AS_EXPECTED) for of in ((first, []), (second, [first])))
+
+
+def test_a_scene_has_fewer_gaussians_where_that_leaves_time_for_a_second_stage():
+    rich = Needs(breadth=1.5, detail=3.0)
+    whole, half = two_stages(rich), two_stages(replace(rich, detail=1.5))
+    assert affordable(rich, AS_EXPECTED, whole) == rich
+    some = affordable(rich, AS_EXPECTED, (whole + half) / 2)
+    assert 1.5 < some.detail < 3.0
+    assert some.breadth == rich.breadth
+    assert two_stages(some) <= (whole + half) / 2 < two_stages(replace(some, detail=1.12 * some.detail))
+    assert affordable(rich, AS_EXPECTED, 1.001 * half).detail == pytest.approx(1.5)
+    # With time for one stage only, it has all of them.
+    assert affordable(rich, AS_EXPECTED, 0.99 * half) == rich
+
+
+def test_the_number_of_gaussians_that_was_fitted_holds_in_the_next_run(tmp_path):
+    probed = expected_seconds(replace(STAGES[0], views=PROBED), []).frames
+    between = (two_stages(Needs(detail=2.0)) + two_stages(Needs(detail=1.0))) / 2
+    settings = PreparationSettings(minutes=between / 60)
+
+    def planner() -> Planner:
+        journal = Journal(tmp_path / "job", {"name": "a job"})
+        made = Planner(settings, journal, JobClock(journal, time.perf_counter()), Needs(detail=2.0))
+        assert made.begin([])
+        return made
+
+    first = planner()
+    first.fit_first(probed)
+    fitted = first.stages[0].gaussians
+    assert STAGES[0].gaussians <= fitted < 2 * STAGES[0].gaussians
+    again = planner()
+    assert again.stages == first.stages
+    assert again._needs == first._needs
 
 
 def test_without_a_limit_nothing_is_fitted(tmp_path):

@@ -163,12 +163,17 @@ def test_errors_are_stored_in_a_byte_each(forest):
         errors_of(damaged)
 
 
-def test_the_typical_error_is_the_geometric_mean(forest, arrays):
-    assert ExpectedErrors(arrays, forest).typical == TYPICAL_ERROR
+def test_the_typical_error_is_the_geometric_mean(forest, arrays, camera):
+    camera = replace(camera, fy=forest.trained_focal)
+    assert ExpectedErrors(arrays, forest).typical_in(camera) == TYPICAL_ERROR
     known = attach_errors(forest, torch.logspace(-6, -2, forest.counts[0]))
-    assert ExpectedErrors(arrays, known).typical == pytest.approx(1e-4, rel=0.05)
+    errors = ExpectedErrors(arrays, known)
+    assert errors.typical_in(camera) == pytest.approx(1e-4, rel=0.05)
+    # Finer frames show more of them, coarser ones no less.
+    of_size = [errors.typical_in(replace(camera, fy=times * camera.fy)) for times in (0.5, 1, 2, 4)]
+    np.testing.assert_allclose(np.array(of_size) / of_size[1], [1, 1, 2**1.75, 4**1.75])
     perfect = attach_errors(forest, torch.zeros(forest.counts[0]))
-    assert 0 < ExpectedErrors(arrays, perfect).typical < 1e-8
+    assert 0 < ExpectedErrors(arrays, perfect).typical_in(camera) < 1e-8
 
 
 def test_an_unknown_placement_is_refused():
