@@ -2,7 +2,7 @@
 
     python -m benchmarks.fit_fusion SCENE=FOREST ... [--views N] [--json FILE]
 
-Foveas of frames of three sizes, in views that no forest was trained on, against unbiased references of 512
+Foveas of frames of two sizes, in views that no forest was trained on, against unbiased references of 768
 samples per pixel: of single frames, of views that stand still, and of walks. Reports rows of what the product
 makes of them, PSNR in dB; the tables of compose/fusion/estimates.py, fitted to all scenes; and the gain over
 the better one of splats and denoised samples, or over splats alone, in each scene, by odds that were fitted
@@ -34,12 +34,12 @@ from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.backend import select_backend
 from pathtrace.trace.traced_images import denoise
 
-_SIZES, _GAZES = ((480, 360), (320, 240), (1200, 900)), ((0.5, 0.5), (0.35, 0.6), (0.65, 0.45))
+_SIZES, _GAZES = ((480, 360), (320, 240)), ((0.5, 0.5), (0.35, 0.6), (0.65, 0.45))
 _COUNTS = {"fresh": (1, 2, 4, 8, 16, 32, 64), "walk": (1, 2, 4), "still": (1, 2, 4)}
 # Frames before the last one, and degrees that the camera turns between two of them.
 _FRAMES, _TURN = 6, 0.6
 # Of each half of a reference, in passes of so many samples per pixel; and the seed of the first one.
-_PASSES, _SPP, _SEED = 2, 128, 9000
+_PASSES, _SPP, _SEED = 3, 128, 9000
 # Squared errors below this, of square roots of radiance, are not seen; the share of the better estimate's
 # error below which less of it counts no more; by how much more of it counts what is worse than splats alone,
 # which a frame in a hurry could show as well; and the penalty on squared odds.

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 # Logarithm of the odds of each further estimate against the splats, for each channel of `evidence`, with
 # denoised samples and without: by `python -m benchmarks.fit_fusion`.
 ODDS = (
-    (-1.416, -0.325, -0.086, 0.332, 0.0, -0.216, 0.172, 0.095, 0.281, -0.384, 1.286),  # relit splats
-    (3.069, -0.123, 0.675, 0.115, 0.0, -0.522, 0.210, 0.605, 0.057, 0.363, -0.274),  # denoised samples
+    (-1.416, -0.325, -0.086, 0.332, -0.216, 0.172, 0.095, 0.281, -0.384, 1.286),  # relit splats
+    (3.069, -0.123, 0.675, 0.115, -0.522, 0.210, 0.605, 0.057, 0.363, -0.274),  # denoised samples
 )
 QUICK_ODDS = ((5.065, -1.061, 0.582, 0.899, 0.849),)
 _FURTHEST, _MOST_SAMPLES = 3.0, 64.0
@@ -167,14 +167,15 @@ def shares(seen: Sequence[Float]) -> list[Float]:
 def evidence(
     grids: list[Grid], images: Planes, light: Light, candidates: list[list[Float]], expected: Float
 ) -> list[Float]:
-    """What the odds of an estimate against the splats depend on: 5 or 11 channels of the quarter grid.
+    """What the odds of an estimate against the splats depend on: 5 or 10 channels of the quarter grid.
 
     The channels are 1; the logarithms of what relit splats lack of the samples and of how far they are from
-    the splats, both squared; how far the samples lie on the way from the splats to them; and the logarithm of
-    the error that is expected of splats. Then, with denoised samples, the first three of these, the last one
-    from halfway and times the doublings of the sample count, with which it is known better; how far these are
-    from relit splats, and the samples on the way there; and the share of samples of earlier views: denoising
-    takes what these have in common for what there is. What is seen is the mean over about 12 x 12 pixels.
+    the splats, both squared; and how far the samples lie on the way from the splats to them. Then, the
+    logarithm of the error that is expected of splats; or with denoised samples, the three of these, the last
+    one from halfway and times the doublings of the sample count, with which it is known better; how far these
+    are from relit splats, and the samples on the way there; and the share of samples of earlier views:
+    denoising takes what these have in common for what there is. What is seen is the mean over about 12 x 12
+    pixels.
     """
     grid, quarter = grids[0], grids[2]
     row, column, _ = quarter.pixels()
@@ -193,9 +194,8 @@ def evidence(
     dr.eval(means)
     means = box_mean(among(means), quarter, row, column)
     channels = [dr.full(kind, 1, quarter.lanes), dr.log(means[0] + _SAME), *_way(*means[1:3])]
-    channels.append(dr.log(dr.clip(expected, _LEAST, _MOST)))
     if len(candidates) == 2:
-        return channels
+        return [*channels, dr.log(dr.clip(expected, _LEAST, _MOST))]
     number, earlier = means[-2:]
     apart, along = _way(*means[4:6])
     doublings = dr.log2(dr.clip(number, 1, _MOST_SAMPLES))

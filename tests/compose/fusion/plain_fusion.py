@@ -83,13 +83,15 @@ def _shares(given: dict[str, Array], seen: list[Array], expected: float) -> list
 
     channels = pair(splat, relit)
     even = np.ones_like(channels[0])
-    channels = [even, *channels, even * np.log(np.clip(expected, 1e-5, 1e-2))]
+    channels = [even, *channels]
     if denoised:
         number, earlier = (box_mean(block_means(given[name], 4)) for name in ("count", "earlier"))
         lacks, apart, along = pair(splat, *denoised)
         along = (along - 0.5) * np.log2(np.clip(number, 1, 64))
         channels += [lacks, apart, along, *pair(relit, *denoised)[1:]]
         channels.append(np.minimum(earlier / np.maximum(number, 1), 1))
+    else:
+        channels.append(even * np.log(np.clip(expected, 1e-5, 1e-2)))
     odds = module.ODDS if denoised else module.QUICK_ODDS
     logits = [0 * channels[0]] + [sum(o * c for o, c in zip(of, channels, strict=True)) for of in odds]
     return list(np.exp(logits) / np.exp(logits).sum(0))
