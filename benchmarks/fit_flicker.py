@@ -33,13 +33,13 @@ _ABSOLUTE = "yancheng2024"
 class Thresholds:
     """N thresholds: Hz, degrees, cd/m2, square degrees, log10 of sensitivity, and the number of a study."""
 
+    names: list[str]
     frequency: Array
     eccentricity: Array
     luminance: Array
     area: Array
     sensitivity: Array
     study: NDArray[np.int64]
-    names: list[str]
 
     def errors(self, parameters: Array) -> Array:
         """(N,) log10 by which people are more sensitive than the model."""
@@ -48,8 +48,7 @@ class Thresholds:
 
     def of(self, kept: NDArray[np.bool_]) -> Thresholds:
         """Some of them."""
-        arrays = [getattr(self, field.name)[kept] for field in fields(self)[:-1]]
-        return Thresholds(*arrays, self.names)
+        return Thresholds(self.names, *(getattr(self, field.name)[kept] for field in fields(self)[1:]))
 
 
 def load(folder: Path) -> Thresholds:
@@ -63,7 +62,7 @@ def load(folder: Path) -> Thresholds:
     columns = "t_frequency", "eccentricity", "luminance", "area", "sensitivity"
     *stimuli, sensitivity = (np.array([float(row[name]) for row in rows]) for name in columns)
     study = np.array([names.index(row["dataset"]) for row in rows])
-    return Thresholds(*stimuli, np.log10(sensitivity), study, names)
+    return Thresholds(names, *stimuli, np.log10(sensitivity), study)
 
 
 def fit(thresholds: Thresholds) -> Array:
