@@ -31,15 +31,15 @@ _ABSOLUTE = "yancheng2024"
 
 @dataclass(frozen=True)
 class Thresholds:
-    """N thresholds: Hz, degrees, cd/m2, square degrees, log10 of sensitivity, and the number of a study."""
+    """N thresholds of studies: the number of each; Hz, degrees, cd/m2, square degrees; log10 of sensitivity."""
 
     names: list[str]
+    study: NDArray[np.int64]
     frequency: Array
     eccentricity: Array
     luminance: Array
     area: Array
     sensitivity: Array
-    study: NDArray[np.int64]
 
     def errors(self, parameters: Array) -> Array:
         """(N,) log10 by which people are more sensitive than the model."""
@@ -48,7 +48,8 @@ class Thresholds:
 
     def of(self, kept: NDArray[np.bool_]) -> Thresholds:
         """Some of them."""
-        return Thresholds(self.names, *(getattr(self, field.name)[kept] for field in fields(self)[1:]))
+        arrays = [getattr(self, field.name)[kept] for field in fields(self)[2:]]
+        return Thresholds(self.names, self.study[kept], *arrays)
 
 
 def load(folder: Path) -> Thresholds:
@@ -60,9 +61,10 @@ def load(folder: Path) -> Thresholds:
     ]
     names = sorted({row["dataset"] for row in rows})
     columns = "t_frequency", "eccentricity", "luminance", "area", "sensitivity"
-    *stimuli, sensitivity = (np.array([float(row[name]) for row in rows]) for name in columns)
+    arrays = [np.array([float(row[name]) for row in rows]) for name in columns]
+    arrays[-1] = np.log10(arrays[-1])
     study = np.array([names.index(row["dataset"]) for row in rows])
-    return Thresholds(names, *stimuli, np.log10(sensitivity), study)
+    return Thresholds(names, study, *arrays)
 
 
 def fit(thresholds: Thresholds) -> Array:
