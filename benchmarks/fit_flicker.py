@@ -31,7 +31,7 @@ _ABSOLUTE = "yancheng2024"
 
 @dataclass(frozen=True)
 class Thresholds:
-    """N thresholds of studies: the number of each; Hz, degrees, cd/m2, square degrees; log10 of sensitivity."""
+    """N thresholds: numbers of their studies; Hz, degrees, cd/m2, square degrees; log10 of sensitivity."""
 
     names: list[str]
     study: NDArray[np.int64]
