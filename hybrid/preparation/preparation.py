@@ -224,7 +224,11 @@ class _Job:
                 frames.grow(wanted[:1], bar)
                 start = time.perf_counter()
                 frames.grow(wanted[: 1 + PROBED], bar)
-            self.planner.fit_first(time.perf_counter() - start)
+            share = self.planner.fit_first(time.perf_counter() - start)
+            if share < 1:
+                _LOG.info(
+                    f"{share:.0%} of the planned Gaussians leave time for frames of twice the resolution"
+                )
             views = self._views(stages)
         with self.bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)

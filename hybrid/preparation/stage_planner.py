@@ -227,8 +227,11 @@ class Planner:
         """Whether it is not known yet how large the first stage, which has begun, can be."""
         return not self.number and self._settings.minutes is not None and _PROBE not in self.journal
 
-    def fit_first(self, seconds: float) -> None:
-        """Fits the first stage into the time, by the seconds that PROBED of its views took after one."""
+    def fit_first(self, seconds: float) -> float:
+        """Fits the first stage into the time, by the seconds that PROBED of its views took after one.
+
+        Returns the share of the scene's detail for which there is time.
+        """
         stage = self.stages[0]
         slower = seconds / _frames(PROBED, stage, stage.spp_at(stage.scale))
         # How much slower the machine is, training will be; the rest is the scene's paths.
@@ -236,12 +239,14 @@ class Planner:
         left = self._left()
         assert left is not None
         left += (1 + 1 / PROBED) * seconds
-        self._needs = affordable(self._needs, self._pace(), left, self._settings.stages)
+        planned = self._needs
+        self._needs = affordable(planned, self._pace(), left, self._settings.stages)
         self.journal[_NEEDS] = asdict(self._needs)
         fitting = next_stage([], self._needs, self._pace(), left, self._settings.stages)
         assert fitting is not None
         self.journal["stage 0"] = asdict(replace(fitting, views=max(1 + PROBED, fitting.views)))
         self.stages[0] = Stage(**self.journal["stage 0"])
+        return self._needs.detail / planned.detail
 
     def steps(self) -> int:
         """Training steps of the last stage, as far as is known."""

@@ -1,7 +1,7 @@
 """A forest in other light than that it was trained in: its radiance follows the irradiance of surfaces.
 
-The ratio of irradiance after a change to that before it is a factor on the radiance of what is there, as in
-ratio images (Riklin-Raviv and Shashua 2001). It is exact for diffuse surfaces; gloss is scaled as much, and
+The ratio of irradiance after a change to that before it is a factor on the radiance of what is there, as in a
+quotient image (Riklin-Raviv and Shashua 2001). It is exact for diffuse surfaces; gloss is scaled as much, and
 so are emitters, by the light around them.
 """
 

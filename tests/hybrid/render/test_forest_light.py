@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -14,6 +15,7 @@ from hybrid.render import frame_renderer, irradiance
 from hybrid.render.forest_light import ForestLight
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
+from pathtrace.cache.cells import Points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
@@ -84,42 +86,22 @@ def test_each_node_has_the_light_of_its_surroundings(cache):
     assert np.quantile(right, 0.1) > 0.25
 
 
+def cache_of(points: Points, light: list[float]) -> SimpleNamespace:
+    """What is read of a cache, each of whose points is a cell."""
+    cells = SimpleNamespace(smallest=lambda asked: np.arange(len(asked)), grid=SimpleNamespace(scale=1.0))
+    irradiance = np.float32(light)[None, :, None].repeat(3, 2)
+    return SimpleNamespace(transfer=SimpleNamespace(points=points), cells=cells, irradiance=irradiance)
+
+
 def test_thin_walls_have_the_light_of_both_sides_and_not_of_what_they_stand_on():
     """Ten times the light on a floor changes a flat node that stands on it by less than a tenth."""
     positions = np.float32([[0, 0.01, 0], [0, 0, 0.01], [0.01, 0, 0], [0, 0, -0.01]])
-    normals = np.float32([[0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 0, -1]])
-
-    class Known:
-        """Points of which each is a cell; the first and third lie on the floor."""
-
-        class transfer:  # noqa: N801
-            class points:  # noqa: N801
-                position, normal = positions, normals
-
-                def __len__(self):
-                    return 4
-
-                def take(self, chosen):
-                    return self
-
-            points = points()
-
-        class cells:  # noqa: N801
-            class grid:  # noqa: N801
-                scale = 1.0
-
-            @staticmethod
-            def smallest(points):
-                return np.arange(4)
-
-        def __init__(self, light):
-            self.irradiance = np.float32(light)[None, :, None].repeat(3, 2)
-
+    points = Points(positions, np.float32([[0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 0, -1]]))
     dot = white_dot((0, 0, 0))
     dot.finest.log_scales[:] = torch.tensor([[-1.0], [-1.0], [-5.0]])
-    shown = radiance(ForestLight(dot, Known([1, 1, 1, 1])).under(Known([10, 1, 10, 1])).finest)
-    assert np.all(shown < 1.1 * radiance(dot.finest))
-    shown = radiance(ForestLight(dot, Known([1, 1, 1, 1])).under(Known([1, 3, 1, 1])).finest)
+    light = ForestLight(dot, cache_of(points, [1, 1, 1, 1]))
+    assert np.all(radiance(light.under(cache_of(points, [10, 1, 10, 1])).finest) < 1.1 * radiance(dot.finest))
+    shown = radiance(light.under(cache_of(points, [1, 3, 1, 1])).finest)
     np.testing.assert_allclose(shown, 2 * radiance(dot.finest), rtol=0.02)
 
 
