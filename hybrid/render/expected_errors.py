@@ -69,15 +69,20 @@ class ExpectedErrors:
         return False
 
     def typical_in(self, camera: Camera) -> float:
-        """The error that is typical of a camera's frames; more where these are finer than training's."""
+        """The error that is typical of a camera's frames; TYPICAL_ERROR if none are known.
+
+        It is that of the nodes, but more where frames are finer than those of the training.
+        """
+        if self._typical is None:
+            return TYPICAL_ERROR
         return self._typical * max(camera.fy / self._forest.trained_focal, 1.0) ** _FINER
 
     @cached_property
-    def _typical(self) -> float:
-        """The geometric mean over the nodes; TYPICAL_ERROR if none are known."""
+    def _typical(self) -> float | None:
+        """The geometric mean over the nodes; None if none are known."""
         errors = self._of_nodes
         if errors is None or not len(errors):
-            return TYPICAL_ERROR
+            return None
         return float(torch.log(errors.clamp(min=_LEAST)).mean().exp())
 
     @cached_property

@@ -165,7 +165,8 @@ def test_errors_are_stored_in_a_byte_each(forest):
 
 def test_the_typical_error_is_the_geometric_mean(forest, arrays, camera):
     camera = replace(camera, fy=forest.trained_focal)
-    assert ExpectedErrors(arrays, forest).typical_in(camera) == TYPICAL_ERROR
+    for finer in (camera, replace(camera, fy=4 * camera.fy)):
+        assert ExpectedErrors(arrays, forest).typical_in(finer) == TYPICAL_ERROR
     known = attach_errors(forest, torch.logspace(-6, -2, forest.counts[0]))
     errors = ExpectedErrors(arrays, known)
     assert errors.typical_in(camera) == pytest.approx(1e-4, rel=0.05)
