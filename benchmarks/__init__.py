@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from compose.base.files import json_text
 
 
@@ -32,6 +35,11 @@ def csv_rows(file: Path) -> list[dict[str, str]]:
     """The rows of a CSV file, by the names of its columns."""
     with file.open(newline="") as opened:
         return list(csv.DictReader(opened))
+
+
+def column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
+    """The numbers in a column of a table."""
+    return np.array([float(row[name]) for row in rows])
 
 
 def measure_forest(description: str | None, measured: Callable[[str, Path], dict[str, Any]]) -> None:

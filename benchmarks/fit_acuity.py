@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from benchmarks import csv_rows, parser_of, report
+from benchmarks import column, csv_rows, parser_of, report
 from compose.eye.acuity import ACUITY_MODELS, limit_sensitivity
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def load_cutoffs(folder: Path) -> Cutoffs:
     rows = csv_rows(folder / "resolution_limit" / "resolution_limit_data.csv")
     rows = [row for row in rows if row["color_direction"] == "1"]
     observers = np.array([int(row["observer"].removeprefix("Obs")) for row in rows])
-    return Cutoffs(_column(rows, "eccentricity_deg"), _column(rows, "threshold_ppd") / 2, observers)
+    return Cutoffs(column(rows, "eccentricity_deg"), column(rows, "threshold_ppd") / 2, observers)
 
 
 def load_sensitivities(folder: Path) -> Sensitivities:
@@ -96,18 +96,14 @@ def load_sensitivities(folder: Path) -> Sensitivities:
     names = sorted({row["dataset"] for row in rows})
     study = np.array([names.index(row["dataset"]) for row in rows])
     return Sensitivities(
-        _column(rows, "s_frequency_cpd"),
-        _column(rows, "eccentricity_deg"),
-        _column(rows, "luminance_cd_m2"),
-        _column(rows, "area_deg2"),
-        np.log10(_column(rows, "sensitivity")),
+        column(rows, "s_frequency_cpd"),
+        column(rows, "eccentricity_deg"),
+        column(rows, "luminance_cd_m2"),
+        column(rows, "area_deg2"),
+        np.log10(column(rows, "sensitivity")),
         study,
         names,
     )
-
-
-def _column(rows: list[dict[str, str]], name: str) -> Array:
-    return np.array([float(row[name]) for row in rows])
 
 
 def limits(parameters: Array, eccentricities: Array) -> Array:

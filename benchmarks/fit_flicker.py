@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from benchmarks import csv_rows, parser_of, report
+from benchmarks import column, csv_rows, parser_of, report
 from compose.eye.flicker import FLICKER, flicker_sensitivity
 
 Array = NDArray[np.float64]
 # Dimmer stimuli are none of a display's; one stimulus had no edge.
 _DIMMEST, _WHOLE_FIELD = 1.0, 1000.0
-# Of the parameters all but the first are positive, and found as logarithms, in such steps.
+# Of the parameters all but the first are positive, and found as logarithms, from these on.
 _START = np.log([30.0, 0.03, 0.004, 0.2, 0.02, 0.7])
 # Spread of studies and of their factors, in log10 of sensitivity.
 _SPREAD, _FACTORS = 0.3, 3.0
@@ -61,7 +61,7 @@ def load(folder: Path) -> Thresholds:
     ]
     names = sorted({row["dataset"] for row in rows})
     columns = "t_frequency", "eccentricity", "luminance", "area", "sensitivity"
-    arrays = [np.array([float(row[name]) for row in rows]) for name in columns]
+    arrays = [column(rows, name) for name in columns]
     arrays[-1] = np.log10(arrays[-1])
     study = np.array([names.index(row["dataset"]) for row in rows])
     return Thresholds(names, study, *arrays)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
+
+if TYPE_CHECKING:
+    from pathtrace.scene.scene import Scene
 
 
 def denoising_error() -> float:
@@ -85,3 +88,11 @@ def corner() -> dict[str, Any]:
 
 def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
+
+
+def set_all(scene: Scene, name: str, value: float) -> None:
+    """Sets all parameters of a loaded scene whose names end in this."""
+    parameters = mi.traverse(scene.mitsuba)
+    for key in [key for key, _ in parameters if key.endswith(name)]:
+        parameters[key] = type(parameters[key])(value)
+    parameters.update()

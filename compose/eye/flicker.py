@@ -27,7 +27,8 @@ def flicker_sensitivity(
     The response to a frequency is that of two low-pass filters, the second subtracted (Watson 1986, Handbook
     of Perception 1, ch. 6). It is as much faster as the logarithm of the luminance grows (Ferry and Porter),
     and with eccentricity. Sensitivity grows with the root of the area up to a critical one, and falls with
-    eccentricity; so large areas flicker most some way off the fovea, small ones in it. Fitted by
+    eccentricity: the fastest flicker is seen aside, the least contrast in the fovea. That the fastest of
+    small areas is seen in the fovea, too (Hartmann et al. 1979), is not modelled. Fitted by
     `python -m benchmarks.fit_flicker` to 460 thresholds of eight studies from 1 cd/m2 on, 163 of them off the
     fovea, each study with a factor of its own, as elaTCSF was made (Cai et al. 2024).
 

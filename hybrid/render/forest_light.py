@@ -73,7 +73,7 @@ class ForestLight:
     """Draws a forest in other light; `usual` is the cache of the scene as the forest shows it."""
 
     def __init__(self, forest: Forest, usual: IrradianceCache):
-        self._forest, self._usual = forest, usual
+        self._forest, self.usual = forest, usual
         sets = [forest.nodes.gaussians]
         if forest.hierarchy is not None and forest.hierarchy.inner is not None:
             sets.append(forest.hierarchy.inner)
@@ -85,8 +85,8 @@ class ForestLight:
     def under(self, cache: IrradianceCache) -> Forest:
         """The forest in the light of a cache, which may be that of a changed version of the scene."""
         if self._places is None or self._places[0] is not cache.cells:
-            self._places = cache.cells, _Places.of(self._usual, cache, self._position, self._axis)
-        factors = torch.from_numpy(self._places[1].change(self._usual, cache))
+            self._places = cache.cells, _Places.of(self.usual, cache, self._position, self._axis)
+        factors = torch.from_numpy(self._places[1].change(self.usual, cache))
         forest, count, hierarchy = self._forest, len(self._forest.nodes), self._forest.hierarchy
         nodes = replace(forest.nodes, gaussians=_lit(forest.nodes.gaussians, factors[:, :count]))
         if hierarchy is not None and hierarchy.inner is not None:

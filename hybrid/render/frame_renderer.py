@@ -32,7 +32,6 @@ from hybrid.render.frame_settings import DEFAULTS, EXTRA_AOVS, INTERACTIVE, Fram
 from hybrid.render.hole_filling import MOVING, STILL, Fill, Filler
 from hybrid.render.irradiance import CachedTracer, cache_for, filled_cache
 from hybrid.render.periphery import Periphery
-from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
 from pathtrace.trace.film import frame_positions
@@ -74,8 +73,7 @@ class Renderer:
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
         self._as_loaded = True
-        # What was known of the light before it changed, and what draws the forest in other light.
-        self._usual: IrradianceCache | None = None
+        # Draws the forest in other light than that before the first change of which anything was known.
         self._light: ForestLight | None = None
         self.show_forest(forest)
 
@@ -85,8 +83,9 @@ class Renderer:
         self.periphery, self._time = Periphery(self._arrays, forest), 0.0
         self._filler, self._errors = Filler(self._arrays, forest), ExpectedErrors(self._arrays, forest)
         self._foveas.clear()
-        self._light = None
-        self._light_splats()
+        if self._light is not None:
+            self._light = ForestLight(forest, self._light.usual)
+            self._light_splats()
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
         """The scene's tracer with an integrator; `tracer` is the unbiased one."""
@@ -127,7 +126,7 @@ class Renderer:
 
     def _change(self) -> None:
         if self._as_loaded and self._cached is not None:
-            self._usual = self._cached.cache
+            self._light = ForestLight(self.periphery.forest, self._cached.cache)
         self._as_loaded = False
 
     @property
@@ -161,12 +160,9 @@ class Renderer:
 
     def _light_splats(self) -> None:
         """Draws the forest in the light that is known, once that is not the usual one any more."""
-        if self._usual is None or self._cached is None:
-            return
-        if self._light is None:
-            self._light = ForestLight(self.periphery.forest, self._usual)
-        self.periphery = Periphery(self._arrays, self._light.under(self._cached.cache))
-        self.periphery.set_time(self._time)
+        if self._light is not None and self._cached is not None:
+            self.periphery = Periphery(self._arrays, self._light.under(self._cached.cache))
+            self.periphery.set_time(self._time)
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
         """Renders one frame.

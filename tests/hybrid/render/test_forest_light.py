@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
-import mitsuba as mi
 import numpy as np
 import pytest
 import torch
 
 from compose.camera.coordinate_systems import WORLD, Place
-from hybrid.render import frame_renderer, irradiance
 from hybrid.render.forest_light import ForestLight
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -24,7 +22,7 @@ from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, radiance_from_perceptual
 from splat.model.trees import static_layer
 from tests import small
-from tests.hybrid.forests import rough_forest, white_dot
+from tests.hybrid.forests import white_dot
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 FACTORS = np.float32([0.4, 1.0, 2.0])
@@ -128,35 +126,17 @@ def test_fitted_inner_nodes_have_the_same_light(cache):
     assert ForestLight(forest, cache).under(cache).hierarchy is forest.hierarchy
 
 
-@pytest.fixture
-def lamp(monkeypatch) -> tuple[Scene, Forest]:
-    """A scene of its own, whose cache is filled quickly, and a forest of it."""
-    quick = lambda scene, *_: fill_cache(scene, [scene.camera], points=1 << 13)  # noqa: E731
-    for module in (irradiance, frame_renderer):
-        monkeypatch.setattr(module, "filled_cache", quick)
-    scene = load_scene(small.corner())
-    return scene, rough_forest(scene)
-
-
-def set_all(scene: Scene, name: str, value: float) -> None:
-    """Sets all parameters whose names end in this."""
-    parameters = mi.traverse(scene.mitsuba)
-    for key in [key for key, _ in parameters if key.endswith(name)]:
-        parameters[key] = type(parameters[key])(value)
-    parameters.update()
-
-
 def settings(scene: Scene, integrator: Integrator = Integrator.CACHED) -> FrameSettings:
     camera = scene.camera.resized(48, 48)
     return FrameSettings(fov_a=5, fov_b=4, spp=1, fovea="raw", camera=camera, integrator=integrator)
 
 
 @pytest.mark.parametrize("kind", [Renderer, LiveRenderer])
-def test_splats_follow_a_lamp_and_its_frames_do_so_at_once(lamp, kind):
-    scene, forest = lamp
+def test_splats_follow_a_lamp_and_its_frames_do_so_at_once(lamp, forest, kind):
+    scene, set_lamp = lamp
     renderer, chosen = kind(scene, forest), settings(scene)
     before = renderer.frame(chosen).splats.numpy()
-    set_all(scene, "emitter.radiance.value", 6.0)
+    set_lamp(6.0)
     renderer.lights_changed()
     first = renderer.frame(chosen, 1).splats.numpy()
     assert first.mean() == pytest.approx(before.mean() / 2, rel=0.1)
@@ -171,12 +151,12 @@ def test_splats_follow_a_lamp_and_its_frames_do_so_at_once(lamp, kind):
     np.testing.assert_allclose(renderer.frame(chosen, seed).splats.numpy(), after, atol=1e-6)
 
 
-def test_a_lamp_that_was_switched_off_and_on_again_leaves_no_trace(lamp):
-    scene, forest = lamp
+def test_a_lamp_that_was_switched_off_and_on_again_leaves_no_trace(lamp, forest):
+    scene, set_lamp = lamp
     renderer, chosen = LiveRenderer(scene, forest), settings(scene)
     before = renderer.frame(chosen).splats.numpy()
     for radiance_of_lamp in (0.0, 12.0):
-        set_all(scene, "emitter.radiance.value", radiance_of_lamp)
+        set_lamp(radiance_of_lamp)
         renderer.lights_changed()
         for seed in range(40):
             shown = renderer.frame(chosen, seed).splats.numpy()
@@ -187,21 +167,21 @@ def test_a_lamp_that_was_switched_off_and_on_again_leaves_no_trace(lamp):
 
 
 @pytest.mark.parametrize(("reflectance", "least"), [(0.1, 0.7), (0.0, 0.999)])
-def test_splats_have_the_light_that_changed_surfaces_reflect(lamp, reflectance, least):
+def test_splats_have_the_light_that_changed_surfaces_reflect(lamp, forest, reflectance, least):
     """Their own reflectance is still to be learnt; black surfaces have no light that is known."""
-    scene, forest = lamp
+    scene, _ = lamp
     renderer, chosen = Renderer(scene, forest), settings(scene)
     before = renderer.frame(chosen).splats.numpy()
-    set_all(scene, "reflectance.value", reflectance)
+    small.set_all(scene, "reflectance.value", reflectance)
     renderer.surfaces_changed()
     after = renderer.frame(chosen).splats.numpy()
     assert least * before.mean() < after.mean() < 1.001 * before.mean()
 
 
-def test_splats_stay_as_they_were_trained_where_nothing_is_known_of_the_light(lamp):
-    scene, forest = lamp
+def test_splats_stay_as_they_were_trained_where_nothing_is_known_of_the_light(lamp, forest):
+    scene, set_lamp = lamp
     renderer, chosen = Renderer(scene, forest), settings(scene, Integrator.PATH)
     before = renderer.frame(chosen).splats.numpy()
-    set_all(scene, "emitter.radiance.value", 6.0)
+    set_lamp(6.0)
     renderer.lights_changed()
     np.testing.assert_array_equal(renderer.frame(chosen).splats.numpy(), before)

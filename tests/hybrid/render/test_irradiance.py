@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
 from compose.base.errors import UserError
 from hybrid.base.cache_folder import scene_folder
-from hybrid.render import frame_renderer as renderer_module
 from hybrid.render import irradiance
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -81,24 +79,6 @@ def test_forgetting_drops_the_samples_of_every_integrator(scene, forest):
         assert live.frame(settings(scene, integrator=one), 1).fovea.samples.mean_count() == 8
 
 
-@pytest.fixture
-def lamp(monkeypatch):
-    """A scene of its own, whose cache is filled quickly; and what sets the radiance of its lamp."""
-    quick = lambda scene, *_: fill_cache(scene, [scene.camera], points=1 << 13)  # noqa: E731
-    for module in (irradiance, renderer_module):
-        monkeypatch.setattr(module, "filled_cache", quick)
-    scene = load_scene(small.corner())
-    return scene, lambda radiance: set_colours(scene, "emitter.radiance.value", radiance)
-
-
-def set_colours(scene, name: str, value: float) -> None:
-    """Sets all parameters whose names end in this."""
-    parameters = mi.traverse(scene.mitsuba)
-    for key in [key for key, _ in parameters if key.endswith(name)]:
-        parameters[key] = type(parameters[key])(value)
-    parameters.update()
-
-
 def mean(renderer, scene, integrator: Integrator = Integrator.CACHED) -> float:
     """Mean radiance of several frames."""
     chosen = settings(scene, integrator=integrator)
@@ -154,7 +134,7 @@ def test_changed_surfaces_fill_the_cache_again_at_the_next_frame(lamp, forest):
     scene, _ = lamp
     renderer = Renderer(scene, forest)
     before, tracer = mean(renderer, scene), renderer.tracer_of(Integrator.CACHED)
-    set_colours(scene, "reflectance.value", 0.1)
+    small.set_all(scene, "reflectance.value", 0.1)
     renderer.surfaces_changed()
     after = mean(renderer, scene)
     assert after < 0.7 * before
