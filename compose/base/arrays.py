@@ -19,7 +19,12 @@ if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt
 
 BackendName = Literal["llvm", "cuda"]
-_NUMPY = {dr.VarType.UInt32: np.uint32, dr.VarType.Float32: np.float32, dr.VarType.Float64: np.float64}
+_NUMPY = {
+    dr.VarType.Int32: np.int32,
+    dr.VarType.UInt32: np.uint32,
+    dr.VarType.Float32: np.float32,
+    dr.VarType.Float64: np.float64,
+}
 # Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
 _ALIGNMENT = 64
 ALIGNED_FLOATS = _ALIGNMENT // 4

@@ -34,6 +34,12 @@ def srgb_curve(linear: Float) -> Float:
     return dr.select(linear <= SRGB_DARK, SRGB_SLOPE * linear, curve)
 
 
+def srgb_bytes(arrays: Arrays, flat: Float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """sRGB bytes in host memory, of a shape, of linear radiance: all that leaves the device of a frame."""
+    value = dr.fma(srgb_curve(arrays.plain.Float(dr.fmin(dr.fmax(flat, 0), 1))), 255, 0.5)
+    return np.asarray(arrays.plain.UInt8(value)).reshape(shape)
+
+
 def all_plain(channels: Sequence[Float]) -> bool:
     """Whether Dr.Jit floats, which this waits for, are finite, not negative and at most MOST, as usual."""
     wrong = [~((values >= 0) & (values <= MOST)) for values in channels]

@@ -41,6 +41,12 @@ def serve(
         float,
         o.network(help="Views per second of each client.", min=1, max=1000, callback=o.finite),
     ] = 120.0,
+    discs: Annotated[
+        int,
+        o.network(
+            help="Clients at a time whose discs are path-traced here; others see splats alone.", min=0, max=16
+        ),
+    ] = 1,
     level: o.Level = None,
     gaussians: o.MostGaussians = None,
     acuity_model: o.AcuityModelName = DEFAULTS.acuity_model,
@@ -48,7 +54,7 @@ def serve(
     sensor: o.Sensor = None,
     backend: o.Backend = "auto",
 ) -> o.Measured:
-    """Tell clients which Gaussians to draw for what they look at, until interrupted."""
+    """Tell clients which Gaussians to draw for what they look at, and trace discs, until interrupted."""
     from hybrid.window.remote.server import Limits, Listening, ViewServer, is_loopback, tls_context
 
     if (certificate is None) != (key is None):
@@ -62,18 +68,22 @@ def serve(
     token = secrets.token_urlsafe(32) if token_file is None else read_token(token_file)
     o.select(backend)
     from hybrid.preparation.preparation import found_forest, with_forest
+    from hybrid.render.irradiance import cache_for
 
     loaded, file = found_forest(o.loaded_scene(scene, None, thin_glass, sensor), forest, progress_bar)
     if file is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid prepare {scene} first")
     loaded, found = with_forest(loaded, file, progress_bar)
     distance = loaded.surfaces().median_distance(loaded.camera)
+    if discs:
+        cache_for(loaded, progress_bar)
     server = ViewServer(
         found,
         (loaded.camera, distance if 0 < distance < float("inf") else 1.0),
         settings,
         token,
-        Limits(clients, rate),
+        Limits(clients, rate, discs=discs),
+        (loaded, found) if discs else None,
     )
 
     def announce(port: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from compose.base.errors import UserError, reading
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import write_whole
 from compose.image.colour import Image, bytes_from_radiance
 from compose.image.exr import read_channels, write_channels
@@ -34,6 +35,32 @@ def write_png(path: Path, radiance: Image) -> None:
 def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
     """Writes an (H, W, 3) image that is already in sRGB as a PNG file; UserError if it cannot be written."""
     write_whole(path, lambda part: PillowImage.fromarray(image).save(part, format="PNG"))
+
+
+def png_bytes(image: NDArray[np.uint8]) -> bytes:
+    """An (H, W, 3) sRGB image as PNG, made quickly."""
+    out = io.BytesIO()
+    PillowImage.fromarray(image).save(out, "PNG", compress_level=1)
+    return out.getvalue()
+
+
+def jpeg_bytes(image: NDArray[np.uint8], quality: int, halves_colour: bool = False) -> bytes:
+    """An (H, W, 3) sRGB image as JPEG of a quality from 1 to 100, its colour at full or half resolution."""
+    out, subsampling = io.BytesIO(), "4:2:0" if halves_colour else "4:4:4"
+    PillowImage.fromarray(image).save(out, "JPEG", quality=quality, subsampling=subsampling)
+    return out.getvalue()
+
+
+def image_of_jpeg(content: bytes, width: int, height: int) -> NDArray[np.uint8]:
+    """The (H, W, 3) image of a JPEG file; ValueError if it is damaged, or of another size."""
+    try:
+        with PillowImage.open(io.BytesIO(content), formats=["JPEG"]) as opened:
+            # Before it is decoded: a few bytes may claim any size.
+            if opened.size != (width, height):
+                raise ValueError(f"a picture of {opened.width} x {opened.height}, not {width} x {height}")
+            return np.asarray(opened.convert("RGB"))
+    except (OSError, SyntaxError, PillowImage.DecompressionBombError) as error:
+        raise ValueError(f"a picture that is no JPEG ({one_line(error)})") from error
 
 
 def write_exr(

@@ -8,7 +8,6 @@ what has changed of the viewer's state; with a picture, `frame` has its number, 
 from __future__ import annotations
 
 import asyncio
-import io
 import logging
 import math
 import time
@@ -17,12 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
-
 from compose.base.errors import one_line
 from compose.base.files import parse_json
+from hybrid.render.image_files import jpeg_bytes, png_bytes
 from hybrid.window.key_bindings import Command
 from hybrid.window.messages import Request, ShownFrame
 from hybrid.window.meter import MOUSE_PATH, MOVE
@@ -51,17 +47,6 @@ Send: TypeAlias = Callable[[dict[str, Any], bytes], Awaitable[None]]
 def asset(name: str) -> str:
     """The text of a file of the page."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
-
-
-def encoded(image: NDArray[np.uint8], quality: int | None) -> bytes:
-    """An (H, W, 3) sRGB image as JPEG of a quality from 1 to 100, or as lossless PNG if None."""
-    out, picture = io.BytesIO(), Image.fromarray(image)
-    if quality is None:
-        picture.save(out, "PNG", compress_level=1)
-    else:
-        subsampling = "4:2:0" if quality < _STILL_QUALITY else "4:4:4"
-        picture.save(out, "JPEG", quality=quality, subsampling=subsampling)
-    return out.getvalue()
 
 
 class PageSession:
@@ -141,10 +126,10 @@ class PageSession:
             kind = "image/png" if quality is None else "image/jpeg"
             message["frame"] = {"number": self._number, "type": kind, **disc}
             if quality is None:
-                picture = await asyncio.to_thread(encoded, shown.image, None)
+                picture = await asyncio.to_thread(png_bytes, shown.image)
             else:
                 # A millisecond here is less than a thread takes to get its turn beside the renderer's.
-                picture = encoded(shown.image, quality)
+                picture = jpeg_bytes(shown.image, quality, halves_colour=quality < _STILL_QUALITY)
         if message:
             await self._send(message, picture)
 

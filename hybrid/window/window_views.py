@@ -15,7 +15,7 @@ from compose.base.arrays import uploaded
 from compose.camera.camera import Camera
 from compose.fovea.warping import CELL, grid, warped
 from compose.image.colour import Image, srgb_from_radiance
-from compose.image.device_image import DeviceImage, srgb_curve
+from compose.image.device_image import DeviceImage, srgb_bytes
 from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.render.false_colours import levels_picture
@@ -107,7 +107,7 @@ def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None)
         return _srgb_bytes(frame.of_disc([c * frame.fovea.disc.weights for c in frame.fovea.radiance]))
     if not view.needs_path_traced:
         shown = frame.splats if view is ShownView.PERIPHERY else frame.image
-        return _bytes_of(shown.flat(), (shown.height, shown.width, 3))
+        return srgb_bytes(shown.arrays, shown.flat(), (shown.height, shown.width, 3))
     if path_traced is None:
         raise ValueError(f"{view} needs the path-traced frame")
     if view is ShownView.DIFFERENCE:
@@ -124,14 +124,8 @@ def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None)
 
 def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
     """As compose.image.colour.bytes_from_radiance, in a kernel, which takes a tenth of the time."""
-    return _bytes_of(device_arrays().plain.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
-
-
-def _bytes_of(flat: Float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """sRGB bytes of linear radiance that is on the device: all that leaves it of a frame."""
-    plain = device_arrays().plain
-    value = dr.fma(srgb_curve(plain.Float(dr.fmin(dr.fmax(flat, 0), 1))), 255, 0.5)
-    return np.asarray(plain.UInt8(value)).reshape(shape)
+    arrays = device_arrays()
+    return srgb_bytes(arrays, arrays.plain.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
 
 
 def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:
@@ -157,11 +151,15 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
         return shown
     clock, arrays, camera = PassClock(), device_arrays(), shown.frame.camera
     newest = newest.resized(camera.width, camera.height)
+    # To one that has only turned, all depths look alike.
+    turned = np.allclose(camera.position, newest.position, rtol=0, atol=_SAME_VIEWPOINT)
+    rows, columns = grid(camera)
+    near = dr.zeros(arrays.plain.Float, rows * columns) if turned else nearness(camera, tracer)
     plain, size = arrays.plain, (camera.width, camera.height)
     values = plain.Float(uploaded(plain.UInt8, shown.image))
     dr.eval(values)
     image = DeviceImage(arrays, values, *size, camera.width)
-    flat = warped(image, _nearness(camera, newest, tracer), camera, newest).values
+    flat = warped(image, near, camera, newest).values
     pixels = np.asarray(plain.UInt8(flat + 0.5)).reshape(shown.image.shape)
     clock.lap("warp")
     passes, took = dict(shown.milliseconds), clock.milliseconds()
@@ -169,12 +167,10 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
     return replace(shown, image=pixels, milliseconds=passes | took)
 
 
-def _nearness(camera: Camera, newest: Camera, tracer: Tracer) -> Float:
-    """The inverse depth of what the camera sees in each cell; 0 if the newest one has only turned."""
+def nearness(camera: Camera, tracer: Tracer) -> Float:
+    """Inverse depth, 0 or more, of what a camera sees in each cell of its `grid`, for `warped`."""
     arrays, (rows, columns) = device_arrays(), grid(camera)
     plain = arrays.plain
-    if np.allclose(camera.position, newest.position, rtol=0, atol=_SAME_VIEWPOINT):
-        return dr.zeros(plain.Float, rows * columns)
     corner = pixel_positions(dr.arange(plain.UInt, rows * columns), columns)
     centres = FilmPositions((corner.x + 0.5) * CELL, (corner.y + 0.5) * CELL, 0.0, 0.0)
     dr.eval(centres.x, centres.y)

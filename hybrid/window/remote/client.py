@@ -30,6 +30,7 @@ from hybrid.base.cache_folder import home
 from hybrid.base.loopback import QUIET, until_first
 from hybrid.base.progress import Progress
 from hybrid.window.messages import Server
+from hybrid.window.remote.disc_messages import DISC, DiscMessage, DiscWanted, StreamedDisc
 from hybrid.window.remote.protocol import (
     FOREST_PART,
     FOREST_WANTED,
@@ -53,6 +54,8 @@ _FIRST_DELAY, _MOST_DELAY, _PATIENCE = 0.25, 8.0, 10.0
 _AGAIN = 0.1
 # Masks that a server may use as a base; honest ones use none that is older.
 _MOST_MASKS = 32
+# Views that a disc may still come for: those of some seconds.
+_MOST_VIEWS = 512
 # Share of the views that the server takes, so that it never gets more of them.
 _PACE = 0.9
 _POLL = 0.1
@@ -83,10 +86,12 @@ class Remote:
     Attributes:
         welcome, forest, tree: from the server, once `wait` has returned.
         cut: the newest one; None before the first.
+        disc: the newest one; None if the server sends none for what was looked at last.
+        disc_is_final: whether none will follow for the view that it is for.
         trouble: why there is no connection, in a line; empty while there is one.
-        changed: is set when there is another cut, or other trouble.
+        changed: is set when there is another cut, another disc, or other trouble.
         sent: number of the newest view that was sent, and that view.
-        bytes: of all masks so far.
+        bytes, disc_bytes: of all masks, and of all discs, so far.
     """
 
     welcome: Welcome
@@ -97,9 +102,16 @@ class Remote:
         self._address, self._token = server.address, server.token
         self._tls = _context(server.address, server.authority)
         self.cut: Cut | None = None
-        self.trouble, self.bytes = "not connected yet", 0
+        self.disc: StreamedDisc | None = None
+        self.disc_is_final = False
+        self.trouble, self.bytes, self.disc_bytes = "not connected yet", 0, 0
         self.changed = threading.Event()
         self._view: View | None = None
+        self._wanted: DiscWanted | None = None
+        # Number of the first view after the server was told what disc is wanted.
+        self._told_at = 1
+        # By number, those that were sent and that a newer disc than the last may be for.
+        self._views: dict[int, View] = {}
         self.sent: tuple[int, View | None] = 0, None
         self._progress = 0, 1
         self._ready, self._failure = threading.Event(), ""
@@ -125,6 +137,12 @@ class Remote:
         view = camera, gaze, display
         if view != self._view:
             self._view = view
+            self._loop.call_soon_threadsafe(self._news.set)
+
+    def want(self, disc: DiscWanted) -> None:
+        """Asks for a path-traced disc of each view from now on; never waits."""
+        if disc != self._wanted:
+            self._wanted, self.disc_is_final = disc, False
             self._loop.call_soon_threadsafe(self._news.set)
 
     @property
@@ -171,7 +189,7 @@ class Remote:
                     await self._begun(connection)
                     delay, received = _FIRST_DELAY, _Received(self.tree.inner)
                     await until_first(
-                        self._send_views(connection, received), self._take_masks(connection, received)
+                        self._send_views(connection, received), self._take_messages(connection, received)
                     )
                     self._say("the connection was lost (the server has ended it)")
             except (OSError, WebSocketException, ValueError, UserError, asyncio.TimeoutError) as error:
@@ -227,23 +245,34 @@ class Remote:
     async def _send_views(self, connection: ClientConnection, received: _Received) -> None:
         pace, due = 1 / (_PACE * self.welcome.rate), 0.0
         last: View | None = None
+        told: DiscWanted | None = None
         while True:
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._news.wait(), _AGAIN)
             await asyncio.sleep(max(0.0, due - time.monotonic()))
             self._news.clear()
             view, (sequence, _) = self._view, self.sent
-            if view is None or (view is last and received.sequence == sequence):
+            is_answered = view is last and received.sequence == sequence
+            if view is None or (is_answered and told == self._wanted):
                 continue
             last, due = view, time.monotonic() + pace
+            if self._wanted is not None and self._wanted != told:
+                told, self._told_at = self._wanted, sequence + 1
+                await connection.send(told.packed())
             # Before it is sent: its mask may come at once.
             self.sent = sequence + 1, view
+            self._views[sequence + 1] = view
+            self._views.pop(sequence + 1 - _MOST_VIEWS, None)
             await connection.send(ViewMessage(sequence + 1, received.held, *view).packed())
 
-    async def _take_masks(self, connection: ClientConnection, received: _Received) -> None:
+    async def _take_messages(self, connection: ClientConnection, received: _Received) -> None:
         async for message in connection:
-            if not isinstance(message, bytes) or not message or message[0] != MASK:
-                raise ValueError("a server that sends something else than masks")
+            if not isinstance(message, bytes) or not message or message[0] not in (MASK, DISC):
+                raise ValueError("a server that sends something else than masks and discs")
+            if message[0] == DISC:
+                self.disc_bytes += len(message)
+                self._take_disc(DiscMessage.unpacked(message))
+                continue
             self.bytes += len(message)
             cut = received.take(MaskMessage.unpacked(message))
             if cut is not None:
@@ -252,6 +281,17 @@ class Remote:
             else:
                 # Asks again, with the base that is there.
                 self._news.set()
+
+    def _take_disc(self, message: DiscMessage) -> None:
+        view = self._views.get(message.sequence)
+        if view is None:
+            # Of a view that was forgotten, or never sent.
+            return
+        self._views = {n: one for n, one in self._views.items() if n >= message.sequence}
+        camera, gaze, _ = view
+        self.disc = StreamedDisc.of(message, camera, gaze) if message.side else None
+        self.disc_is_final = message.final and view is self._view and message.sequence >= self._told_at
+        self.changed.set()
 
 
 class _Received:

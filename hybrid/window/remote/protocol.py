@@ -1,4 +1,4 @@
-"""Messages between server and client, version 1: docs/remote.md describes them.
+"""Messages between server and client, version 2: docs/remote.md describes them.
 
 Whatever does not fit is a ValueError of one line, at both ends.
 """
@@ -23,7 +23,7 @@ from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import MOST_LEVEL
 from splat.model.points import Bits, Ints
 
-VERSION = 1
+VERSION = 2
 # Of WebSockets: another version is refused before anything is sent.
 SUBPROTOCOL = f"hybrid-remote-{VERSION}"
 FOREST_WANTED, VIEW, FOREST_PART, MASK = 1, 2, 3, 4

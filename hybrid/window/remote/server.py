@@ -6,6 +6,7 @@ Whatever a client sends, or leaves unsent, costs its own connection at most, and
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import hmac
 import ipaddress
@@ -15,9 +16,11 @@ import ssl
 import tempfile
 import time
 import zlib
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 
@@ -37,6 +40,8 @@ from hybrid.base.compute_device import device_arrays
 from hybrid.base.loopback import QUIET, listening, until_first
 from hybrid.render.frame_settings import MOST_LEVEL, FrameSettings
 from hybrid.render.periphery import continuous_levels
+from hybrid.window.remote.disc_messages import DISC_WANTED, DiscMessage, DiscWanted
+from hybrid.window.remote.disc_tracing import DiscServer
 from hybrid.window.remote.protocol import (
     FOREST_PART,
     FOREST_WANTED,
@@ -49,6 +54,7 @@ from hybrid.window.remote.protocol import (
     Welcome,
     encoded_mask,
 )
+from pathtrace.scene.scene import Scene
 from splat.io.forest_file import save_forest
 from splat.model.forest import Forest
 from splat.model.points import Bits
@@ -65,6 +71,9 @@ _PART, _MOST_WAITING = 1 << 16, 1 << 16
 _MOST_UNREAD = 8
 # Seconds' worth of messages that may come at once, after a delay on their way.
 _BURST = 2.0
+# Discs per second of one client, those that may be on their way when the view has changed, and seconds after
+# which one counts as come.
+_DISC_RATE, _DISCS, _DISC_ARRIVES = 30.0, 3, 0.4
 # Connections that have not said who they are, for each client that there may be, and some more.
 _STRANGERS_PER_CLIENT, _STRANGERS = 1, 32
 
@@ -77,11 +86,13 @@ class Limits:
         clients: at a time.
         rate: messages per second of each client.
         patience: seconds for a handshake, for the answer to a mask, and for a message to be taken.
+        discs: clients at a time whose discs are traced.
     """
 
     clients: int = 16
     rate: float = 120.0
     patience: float = 10.0
+    discs: int = 1
 
 
 @dataclass(frozen=True)
@@ -93,6 +104,7 @@ class Listening:
     tls: ssl.SSLContext | None = None
 
 
+_FACTS = "connections", "clients", "faults", "views", "masks", "mask_bytes", "discs", "disc_bytes"
 # Cut-offs do not depend on what layers there are.
 _LAYERS = LayerRange(1.0, (0,))
 
@@ -140,6 +152,7 @@ class ViewServer:
         settings: of cuts, see `ViewCuts`.
         token: that clients must name.
         limits: what clients may cost; also an attribute.
+        traced: the scene and the whole forest, for discs; None for none.
 
     Attributes:
         facts: numbers of connections, of those refused or ended for a fault, and of what was sent.
@@ -152,6 +165,7 @@ class ViewServer:
         settings: FrameSettings,
         token: str,
         limits: Limits,
+        traced: tuple[Scene, Forest] | None = None,
     ):
         self.limits, self._expected = limits, f"Bearer {token}".encode()
         self._worker = ThreadPoolExecutor(1, "cuts")
@@ -165,9 +179,15 @@ class ViewServer:
         model = settings.acuity_model
         self._welcome = Welcome(forest.scene_name, *home, digest, *sizes, model, limits.rate)
         self._cuts = self._worker.submit(ViewCuts, served, settings).result()
+        # Those that no client has.
+        self._discs: list[DiscServer] = []
+        if traced is not None:
+            self._discs = self._worker.submit(
+                lambda: [DiscServer(*traced, model) for _ in range(limits.discs)]
+            ).result()
         self._clients: set[_Client] = set()
         self._open: set[_Connection] = set()
-        self.facts = dict.fromkeys(("connections", "clients", "faults", "views", "masks", "mask_bytes"), 0)
+        self.facts = dict.fromkeys(_FACTS, 0)
 
     async def run(self, where: Listening, announce: Callable[[int], object]) -> None:
         """Serves until it is cancelled; `announce` gets the port. UserError if it cannot listen there."""
@@ -248,7 +268,7 @@ class ViewServer:
         self._clients.add(client)
         self.facts["clients"] += 1
         try:
-            await until_first(self._read(client), self._write(client))
+            await until_first(self._read(client), self._write(client), self._stream(client))
         except ConnectionClosed:
             pass  # it says why itself
         except asyncio.TimeoutError:
@@ -262,6 +282,8 @@ class ViewServer:
             raise
         finally:
             self._clients.discard(client)
+            if client.disc is not None:
+                self._discs.append(client.disc)
 
     async def _read(self, client: _Client) -> None:
         async for message in client.connection:
@@ -271,6 +293,8 @@ class ViewServer:
             if message[0] == VIEW:
                 client.accept(ViewMessage.unpacked(message))
                 self.facts["views"] += 1
+            elif message[0] == DISC_WANTED:
+                client.want(DiscWanted.unpacked(message))
             elif message == bytes([FOREST_WANTED]) and not client.forest_wanted:
                 client.forest_wanted = True
             else:
@@ -292,6 +316,26 @@ class ViewServer:
                 self.facts["masks"] += 1
                 self.facts["mask_bytes"] += len(message)
                 await client.send(message)
+
+    async def _stream(self, client: _Client) -> None:
+        """Sends a disc of the newest view after the other, and better ones while it stays."""
+        on_worker = partial(asyncio.get_running_loop().run_in_executor, self._worker)
+        while True:
+            asked = await client.next_disc()
+            if client.disc is None and self._discs:
+                client.disc = self._discs.pop()
+                await on_worker(client.disc.forget)
+            begin, message = time.monotonic(), DiscMessage(asked[0].sequence)
+            if client.disc is not None:
+                message = await on_worker(client.disc.message, *asked)
+            packed = message.packed()
+            client.disc_sent(asked, message.final)
+            self.facts["discs"] += 1
+            self.facts["disc_bytes"] += len(packed)
+            await client.send(packed)
+            took = time.monotonic() - begin
+            # Others get at least as much time of the one thread that renders.
+            await asyncio.sleep(max(took if len(self._clients) > 1 else 0.0, 1 / _DISC_RATE - took))
 
     async def _mask(self, client: _Client, view: ViewMessage) -> bytes:
         # The client may answer before the cut is found.
@@ -329,6 +373,16 @@ class _Client:
         self._view: ViewMessage | None = None
         # Of the newest view, of the mask that it says is there, and of the last one that was sent.
         self._sequence = self._held = self._number = 0
+        # What traces its disc, and what disc it wants.
+        self.disc: DiscServer | None = None
+        self._wanted: DiscWanted | None = None
+        self._disc_news = asyncio.Event()
+        # The newest view, what the last disc was for, and whether that was final.
+        self._newest: ViewMessage | None = None
+        self._disc_for: tuple[ViewMessage, DiscWanted] | None = None
+        self._disc_is_final = False
+        # When discs were sent that may not have come yet, and after which mask.
+        self._discs_sent: deque[tuple[float, int]] = deque()
         # Number of the newest mask that was ever answered, and how many later ones there may be.
         self._answered, self._window = 0, _FIRST_UNANSWERED
         # With the times when they were sent, from the one that the client is known to have; and the last one.
@@ -345,7 +399,8 @@ class _Client:
         self._masks = {n: mask for n, mask in self._masks.items() if n >= view.held}
         self._window += max(0, view.held - self._answered)
         self._answered = max(view.held, self._answered)
-        self._sequence, self._held, self._view = view.sequence, view.held, view
+        self._sequence, self._held, self._view, self._newest = view.sequence, view.held, view, view
+        self._disc_news.set()
         unanswered = [at for n, (at, _) in self._masks.items() if n > self._answered]
         if unanswered and time.monotonic() - unanswered[0] > self._patience:
             raise ValueError(f"views, but no answer to a mask for {self._patience:g} s")
@@ -356,6 +411,38 @@ class _Client:
             return None
         view, self._view = self._view, None
         return view
+
+    def want(self, disc: DiscWanted) -> None:
+        """Takes note of the disc that the client wants from now on."""
+        self._wanted = disc
+        self._disc_news.set()
+
+    async def next_disc(self) -> tuple[ViewMessage, DiscWanted]:
+        """What to trace next, once there is something and not too many discs are on their way."""
+        while True:
+            self._disc_news.clear()
+            waiting = None
+            if self._newest is not None and self._wanted is not None:
+                asked = self._newest, self._wanted
+                stays = asked == self._disc_for
+                if not (stays and self._disc_is_final):
+                    if self._on_their_way() <= (1 if stays else _DISCS):
+                        return asked
+                    waiting = _DISC_ARRIVES / 4
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._disc_news.wait(), waiting)
+
+    def _on_their_way(self) -> int:
+        """Discs that may not have come: once the mask before one is answered, it soon will have."""
+        sent, old = self._discs_sent, time.monotonic() - _DISC_ARRIVES
+        while sent and (sent[0][1] <= self._answered or sent[0][0] < old):
+            sent.popleft()
+        return len(sent)
+
+    def disc_sent(self, asked: tuple[ViewMessage, DiscWanted], final: bool) -> None:
+        """Notes a disc that is about to be sent."""
+        self._disc_for, self._disc_is_final = asked, final
+        self._discs_sent.append((time.monotonic(), self._number))
 
     def base(self) -> tuple[int, Bits | None]:
         """Number of the newest mask that the client is known to have, and that mask; 0 and None for none."""

@@ -89,7 +89,7 @@ def test_nobody_gets_in_without_the_token(serve, log, headers):
 
 
 def test_another_protocol_is_refused(serve, log):
-    other = {"additional_headers": {"Authorization": f"Bearer {TOKEN}"}, "subprotocols": ["hybrid-remote-2"]}
+    other = {"additional_headers": {"Authorization": f"Bearer {TOKEN}"}, "subprotocols": ["hybrid-remote-1"]}
     with serve() as served, pytest.raises(InvalidStatus) as refused, connect(served.address, **other):
         pass
     assert refused.value.response.status_code == 400

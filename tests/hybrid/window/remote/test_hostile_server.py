@@ -92,7 +92,7 @@ def starts(scripted, script) -> str:
 
 
 CHANGES = [
-    ({"version": 2}, "another version"),
+    ({"version": 1}, "another version"),
     ({"bytes": 0}, "a forest of 0 bytes"),
     ({"bytes": 1 << 40}, "a forest of"),
     ({"packed": 1 << 40}, "a forest of"),

@@ -1,0 +1,103 @@
+"""The client's end of a streamed disc: it is warped to the newest view and blended with the splats there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+
+from compose.base.arrays import uploaded
+from compose.camera.camera import Camera
+from compose.eye.gaze import FURTHEST, Gaze
+from compose.fovea.disc import Disc, blend
+from compose.fovea.foveation import Foveation
+from compose.fovea.samples import Samples
+from compose.fovea.warping import grid, warped
+from compose.image.colour import radiance_from_srgb
+from compose.image.device_image import DeviceImage
+from hybrid.render.fovea import FoveaImage
+from hybrid.render.frame import Frame
+from hybrid.window.remote.disc_messages import StreamedDisc
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
+
+# What is nearer to the camera's plane, at a distance of 1 along the line of sight, is beside or behind it.
+_LEAST_DEPTH = 1e-3
+# Linear radiance of sRGB bytes.
+_LINEAR = radiance_from_srgb(np.arange(256) / 255).astype(np.float32)
+
+
+def with_disc(frame: Frame, disc: StreamedDisc) -> Frame:
+    """A frame of splats with a disc that was traced for another view of the same size, where it is seen now.
+
+    The frame's image is changed in place.
+    """
+    camera, message = frame.camera, disc.message
+    if (camera.width, camera.height) != (disc.camera.width, disc.camera.height):
+        return frame
+    moved = _moved(disc, camera)
+    if moved is None:
+        return frame
+    right, down = moved
+    x, y = disc.gaze.pixel(camera.width, camera.height)
+    gaze = Gaze((x + right) / camera.width, (y + down) / camera.height)
+    region = Foveation(gaze, message.fov_a, message.fov_b).region(camera.width, camera.height)
+    if not region.count:
+        return frame
+    found, radiance = _placed(Disc.in_region(frame.image.arrays, region), disc, camera, moved)
+    composite, behind = blend(frame.image, radiance, found)
+    count = dr.full(type(found.weights), message.spp, found.count)
+    samples = replace(Samples.none(found.arrays, found.pixels), radiance=radiance, count=count)
+    return replace(
+        frame,
+        image=composite,
+        settings=replace(frame.settings, gaze=gaze, fov_a=message.fov_a, fov_b=message.fov_b),
+        behind=behind,
+        fovea=FoveaImage(found, radiance, samples),
+        region=region,
+    )
+
+
+def _moved(disc: StreamedDisc, camera: Camera) -> tuple[int, int] | None:
+    """Pixels by which what lies at the disc's centre has moved right and down; None if it cannot be seen."""
+    own, before = camera, disc.camera
+    rows, columns = grid(disc.square)
+    near = float(disc.nearness.reshape(rows, columns)[rows // 2, columns // 2])
+    x, y = disc.gaze.pixel(before.width, before.height)
+    turn = own.world_to_camera @ before.camera_to_world
+    ray = np.array([(x - before.cx) / before.fx, (y - before.cy) / before.fy, 1.0])
+    across, down, depth = turn[:3, :3] @ ray + turn[:3, 3] * near
+    if depth < _LEAST_DEPTH:
+        return None
+    place = own.fx * across / depth + own.cx - x, own.fy * down / depth + own.cy - y
+    most = FURTHEST * max(own.width, own.height) / 2
+    return None if max(map(abs, place)) > most else (round(place[0]), round(place[1]))
+
+
+def _placed(
+    found: Disc, disc: StreamedDisc, camera: Camera, moved: tuple[int, int]
+) -> tuple[Disc, list[Float]]:
+    """A disc of the new view, without weight where the old frame ended, and its radiance."""
+    arrays, side = found.arrays, disc.message.side
+    plain, (right, down) = arrays.plain, moved
+    left, top = disc.message.left + right, disc.message.top + down
+    flat = uploaded(plain.Float, _LINEAR[disc.image])
+    # At once: what warps it must not depend on where it came from.
+    dr.eval(flat)
+    square = DeviceImage(arrays, flat, side, side, side)
+    nearness = uploaded(plain.Float, disc.nearness)
+    seen = warped(square, nearness, disc.square, camera.cropped(left, top, side, side))
+    row, column = arrays.rows_columns(found.pixels, found.width)
+    numbers = arrays.scalars(plain.Int, [top, left, down, right, camera.height, camera.width, side])
+    *first, shift_down, shift_right, height, width, sides = numbers
+    inside, old = plain.Bool(True), ((row, shift_down, height), (column, shift_right, width))
+    for place, shift, size in old:
+        inside &= (plain.Int(place) - shift >= 0) & (plain.Int(place) - shift < size)
+    at = (plain.Int(place) - start for place, start in zip((row, column), first, strict=True))
+    radiance = seen.at(*(plain.UInt(dr.clip(one, 0, sides - 1)) for one in at))
+    weights = dr.select(inside, found.weights, 0)
+    dr.eval(radiance, weights)
+    return replace(found, weights=weights, covers_frame=False), radiance
