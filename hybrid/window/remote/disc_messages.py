@@ -142,12 +142,14 @@ class StreamedDisc:
     @property
     def square(self) -> Camera:
         """The camera that sees the disc's square."""
-        return square_of(self.camera, self.message)
+        message = self.message
+        return self.camera.cropped(message.left, message.top, message.side, message.side)
 
     @staticmethod
     def of(message: DiscMessage, camera: Camera, gaze: Gaze) -> StreamedDisc:
         """Reads depths and picture, in no more memory than those take; ValueError if they do not fit."""
-        rows, columns = grid(square_of(camera, message))
+        side = message.side
+        rows, columns = grid(camera.cropped(0, 0, side, side))
         inflating = zlib.decompressobj()
         try:
             steps = inflating.decompress(message.depths, rows * columns)
@@ -156,13 +158,8 @@ class StreamedDisc:
         if len(steps) != rows * columns:
             raise ValueError(f"{len(steps)} depths, not {rows} x {columns}")
         nearness = np.frombuffer(steps, np.uint8) * np.float32(message.greatest / _STEPS)
-        image = image_of_jpeg(message.picture, message.side, message.side)
+        image = image_of_jpeg(message.picture, side, side)
         return StreamedDisc(message, camera, gaze, image, nearness)
-
-
-def square_of(camera: Camera, message: DiscMessage) -> Camera:
-    """The camera that sees the square of a disc."""
-    return camera.cropped(message.left, message.top, message.side, message.side)
 
 
 def _require_radii(fov_a: float, fov_b: float) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
-import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
-from compose.fovea.foveation import FoveaRegion
+from compose.eye.gaze import Gaze
 from compose.image.device_image import srgb_bytes
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
-from hybrid.window.remote.disc_messages import MOST_PIXELS, DiscMessage, DiscWanted, content_of, square_of
+from hybrid.window.remote.disc_messages import MOST_PIXELS, DiscMessage, DiscWanted, content_of
 from hybrid.window.remote.protocol import ViewMessage
 from hybrid.window.window_views import nearness
 from pathtrace.scene.scene import Scene
@@ -21,6 +20,8 @@ from splat.model.forest import Forest
 
 # Samples per pixel that are added at once while the view stays, and from which on it is good enough.
 _MORE, _ENOUGH = 8, 64
+# Pixels: a smaller disc has none.
+_LEAST_RADIUS = 0.5
 # Paths of one disc: those of a quarter of a second on two cores.
 _MOST_PATHS = 1 << 18
 
@@ -47,55 +48,45 @@ class DiscServer:
 
     def message(self, view: ViewMessage, wanted: DiscWanted) -> DiscMessage:
         """The disc of a view, with more samples if the last one was for the same."""
-        settings = _affordable(
-            replace(
-                self._settings,
-                gaze=view.gaze,
-                fov_a=wanted.fov_a,
-                fov_b=wanted.fov_b,
-                spp=wanted.spp,
-                display=view.display,
-                camera=view.camera,
-            )
+        radius, spp = _affordable(wanted, view.camera.height)
+        side = 2 * math.ceil(radius) + 2
+        x, y = view.gaze.pixel(view.camera.width, view.camera.height)
+        left, top = math.floor(x) - side // 2, math.floor(y) - side // 2
+        is_beside = (
+            left + side <= 0 or top + side <= 0 or left >= view.camera.width or top >= view.camera.height
+        )
+        if radius < _LEAST_RADIUS or is_beside:
+            return DiscMessage(view.sequence)
+        # Nothing else of the frame is rendered.
+        square = view.camera.cropped(left, top, side, side)
+        outer, share = 100 * radius / side, wanted.fov_b / wanted.fov_a
+        settings = replace(
+            self._settings,
+            gaze=Gaze((x - left) / side, (y - top) / side),
+            fov_a=outer,
+            fov_b=share * outer,
+            spp=spp,
+            display=view.display,
+            camera=square,
         )
         self._seed += 1
         if self._last is not None and settings == self._last[0]:
-            frame = self._renderer.refined(self._last[1], max(_MORE, settings.spp), self._seed, quick=False)
+            frame = self._renderer.refined(self._last[1], max(_MORE, spp), self._seed, quick=False)
         else:
             frame = self._renderer.frame(settings, self._seed)
         self._last = settings, frame
-        region = frame.region
-        if not isinstance(region, FoveaRegion) or not region.count:
-            return DiscMessage(view.sequence)
-        spp = frame.fovea.samples.mean_count()
-        side = 2 * int(np.ceil(region.outer)) + 2
-        left, top = (int(np.floor(at)) - side // 2 for at in region.centre)
-        final = spp >= _ENOUGH
-        where = DiscMessage(view.sequence, left, top, side, settings.fov_a, settings.fov_b, spp, final)
-        near = np.asarray(nearness(square_of(frame.camera, where), self._renderer.tracer))
-        return replace(where, **content_of(_image(frame, where), near, final))
+        samples = frame.fovea.samples.mean_count()
+        fov_a, final = 100 * radius / view.camera.height, samples >= _ENOUGH
+        # Without the blend, which is made with the client's own splats.
+        image = frame.image.packed().changed(frame.fovea.disc.pixels, frame.fovea.radiance)
+        pixels = srgb_bytes(image.arrays, image.values, (side, side, 3))
+        near = np.asarray(nearness(square, self._renderer.tracer))
+        where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a, samples, final)
+        return replace(where, **content_of(pixels, near, final))
 
 
-def _affordable(settings: FrameSettings) -> FrameSettings:
-    """With fewer samples, then a smaller radius, where a disc would be more than it may."""
-    assert settings.camera is not None
-    height = settings.camera.height
-    most = 100 * (np.sqrt(MOST_PIXELS) / 2 - 2) / height
-    if settings.fov_a > most:
-        settings = settings.with_radius(float(most))
-    pixels = max(1.0, np.pi * (settings.fov_a / 100 * height) ** 2)
-    return replace(settings, spp=max(1, min(settings.spp, int(_MOST_PATHS / pixels))))
-
-
-def _image(frame: Frame, where: DiscMessage) -> NDArray[np.uint8]:
-    """(side, side, 3) sRGB: what was traced in the disc, splats around it; beyond the frame its border."""
-    arrays, disc = frame.image.arrays, frame.fovea.disc
-    plain = arrays.plain
-    traced = frame.image.packed().changed(disc.pixels, frame.fovea.radiance)
-    row, column = arrays.rows_columns(dr.arange(plain.UInt, where.side**2), where.side)
-    numbers = [where.top, where.left, frame.camera.height - 1, frame.camera.width - 1]
-    top, left, *last = arrays.scalars(plain.Int, numbers)
-    at = (plain.Int(row) + top, plain.Int(column) + left)
-    pixels = traced.at(*(plain.UInt(dr.clip(one, 0, most)) for one, most in zip(at, last, strict=True)))
-    flat = plain.Float(dr.ravel(plain.Array3f(*pixels)))
-    return srgb_bytes(arrays, flat, (where.side, where.side, 3))
+def _affordable(wanted: DiscWanted, height: int) -> tuple[float, int]:
+    """Radius in pixels and samples per pixel of a disc, no more than it may have."""
+    radius = min(wanted.fov_a / 100 * height, math.sqrt(MOST_PIXELS) / 2 - 2)
+    most = int(_MOST_PATHS / (math.pi * max(1.0, radius) ** 2))
+    return radius, max(1, min(wanted.spp, most))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
 from compose.camera.camera import Camera
@@ -80,24 +81,28 @@ def _moved(disc: StreamedDisc, camera: Camera) -> tuple[int, int] | None:
 def _placed(
     found: Disc, disc: StreamedDisc, camera: Camera, moved: tuple[int, int]
 ) -> tuple[Disc, list[Float]]:
-    """A disc of the new view, without weight where the old frame ended, and its radiance."""
+    """A disc of the new view, without weight where nothing was traced, and its radiance."""
     arrays, side = found.arrays, disc.message.side
-    plain, (right, down) = arrays.plain, moved
-    left, top = disc.message.left + right, disc.message.top + down
-    flat = uploaded(plain.Float, _LINEAR[disc.image])
-    # At once: what warps it must not depend on where it came from.
-    dr.eval(flat)
-    square = DeviceImage(arrays, flat, side, side, side)
-    nearness = uploaded(plain.Float, disc.nearness)
-    seen = warped(square, nearness, disc.square, camera.cropped(left, top, side, side))
+    plain = arrays.plain
+    left, top = (first + by for first, by in zip((disc.message.left, disc.message.top), moved, strict=True))
+    near, newest = uploaded(plain.Float, disc.nearness), camera.cropped(left, top, side, side)
+    seen, known = (
+        warped(
+            DeviceImage(arrays, uploaded(plain.Float, values), side, side, side), near, disc.square, newest
+        )
+        for values in (_LINEAR[disc.image], np.repeat(_known(side)[..., None], 3, axis=2))
+    )
     row, column = arrays.rows_columns(found.pixels, found.width)
-    numbers = arrays.scalars(plain.Int, [top, left, down, right, camera.height, camera.width, side])
-    *first, shift_down, shift_right, height, width, sides = numbers
-    inside, old = plain.Bool(True), ((row, shift_down, height), (column, shift_right, width))
-    for place, shift, size in old:
-        inside &= (plain.Int(place) - shift >= 0) & (plain.Int(place) - shift < size)
-    at = (plain.Int(place) - start for place, start in zip((row, column), first, strict=True))
-    radiance = seen.at(*(plain.UInt(dr.clip(one, 0, sides - 1)) for one in at))
-    weights = dr.select(inside, found.weights, 0)
+    first_row, first_column, last = arrays.scalars(plain.Int, [top, left, side - 1])
+    place = (plain.Int(row) - first_row, plain.Int(column) - first_column)
+    at = [plain.UInt(dr.clip(one, 0, last)) for one in place]
+    radiance, weights = seen.at(*at), found.weights * known.at(*at)[0]
     dr.eval(radiance, weights)
     return replace(found, weights=weights, covers_frame=False), radiance
+
+
+def _known(side: int) -> NDArray[np.float32]:
+    """(side, side) 1, but for the border, as which an image continues where nothing was traced."""
+    known = np.zeros((side, side), np.float32)
+    known[1:-1, 1:-1] = 1
+    return known

@@ -61,12 +61,14 @@ class Served:
 
 @pytest.fixture
 def serve(forest, camera, own_home) -> Callable[..., contextlib.AbstractContextManager[Served]]:
-    """Runs servers of the forest; arguments are those of `Limits`, and a context of TLS, a port, a level."""
+    """Runs servers of the forest; arguments are those of `Limits`, and some of a server's."""
 
     @contextlib.contextmanager
-    def running(tls=None, port=0, level=1.0, most=None, given=forest, **limits) -> Iterator[Served]:
+    def running(
+        tls=None, port=0, level=1.0, most=None, given=forest, traced=None, **limits
+    ) -> Iterator[Served]:
         cut = settings(level, most)
-        server = ViewServer(given, (camera, 4.0), cut, TOKEN, replace(Limits(), **limits))
+        server = ViewServer(given, (camera, 4.0), cut, TOKEN, replace(Limits(), **limits), traced)
         ports: queue.Queue[int] = queue.Queue()
         loop = asyncio.new_event_loop()
         task = loop.create_task(server.run(Listening("localhost", port, tls), ports.put))

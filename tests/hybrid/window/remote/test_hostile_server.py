@@ -205,10 +205,11 @@ def test_masks_that_do_not_fit_end_the_connection_and_leave_the_cut(following, w
     scripted, remote = following
     inner = remote.tree.inner
     bad = [
-        ("text", "something else than masks"),
-        (b"", "something else than masks"),
-        (b"\x09abc", "something else than masks"),
+        ("text", "something else than masks and discs"),
+        (b"", "something else than masks and discs"),
+        (b"\x09abc", "something else than masks and discs"),
         (b"\x04abc", "a mask of 4 bytes"),
+        (b"\x06abc", "a disc of 4 bytes"),
         (good(inner, 2)[:-3], "does not end"),
         (good(inner, 2) + b"x", "does not end"),
         (good(inner + 1, 2), "mask of node"),
