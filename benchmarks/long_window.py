@@ -2,8 +2,8 @@
 
     python -m benchmarks.long_window SCENE VISION [--forest FILE] [--hours 2] [--json FILE]
 
-VISION is the folder of public data about people's vision, whose gaze traces follow each other again and again.
-Chromium must be installed, with its driver and selenium.
+VISION is the folder of public data about people's vision, whose gaze traces follow each other, again and
+again. Chromium must be installed, with its driver and selenium.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a server's masks cost and show over a slow network, and what hostile clients do to it.
+"""What a server's masks and discs cost and show over a slow network, and what hostile clients do to it.
 
     python -m benchmarks.remote SCENE --forest FILE [--seconds N] [--json FILE]
 
@@ -16,50 +16,47 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from websockets.asyncio.client import connect
-from websockets.exceptions import WebSocketException
-from websockets.typing import Subprotocol
 
 import hybrid  # noqa: F401  (finds LLVM before anything loads one)
 from benchmarks import parser_of, report
+from benchmarks.many_clients import DISPLAY, SIZE, many, view_at
 from benchmarks.slow_network import ADDRESSES, DELAY, LOSS, RATE, SPACES, inside, slow_network
 from compose.base.files import json_text
-from compose.camera.camera import Camera, turned
-from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze, simulated
-from compose.image.colour import Image
-from hybrid.render.frame_settings import FrameSettings
+from compose.image.colour import Image, decibels, srgb_from_radiance
+from hybrid.base.progress import bars_of
+from hybrid.preparation.preparation import with_forest
+from hybrid.preparation.scene_plan import as_stored
+from hybrid.render.frame_renderer import LiveRenderer
+from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
+from hybrid.render.splat_renderer import SplatRenderer
 from hybrid.window.messages import Server
 from hybrid.window.remote.client import Cut, Remote, View
-from hybrid.window.remote.protocol import FOREST_WANTED, SUBPROTOCOL, MaskMessage, ViewMessage, Welcome
+from hybrid.window.remote.disc_messages import DiscWanted, StreamedDisc
+from hybrid.window.remote.protocol import ViewMessage
+from hybrid.window.remote.shown_disc import with_disc
+from pathtrace.scene.backend import select_backend
+from pathtrace.scene.scene import Scene, load_scene
+from splat.model.forest import Forest
 from splat.model.hierarchy import HierarchyNodes
 from splat.model.points import Bits
 
-_RATE, _SIZE, _DISPLAY = 60.0, (960, 540), DISPLAYS["desktop"]
+_RATE = 60.0
 _PORT = 8765
-# Frames whose pictures are compared; views per second of each of many clients; seconds between two hostile
-# attempts of one.
-_COMPARED, _CALM, _PAUSE = 20, 1.0, 1.0
-# Seconds until many clients count.
-_SETTLE = 15.0
+# Frames whose pictures are compared.
+_COMPARED = 20
+# Seconds between jumps of the gaze; milliseconds after one at which the picture is judged; and how many
+# samples per pixel, so many times, it is judged by.
+_REST = 1.5
+_LAGS = (0, 50, 100, 150, 200, 300, 1000)
+_SPP, _SEEDS = 16, 12
 _SETTINGS = FrameSettings(level=1.0)
-
-
-def view_at(home: Camera, distance: float, seconds: float) -> Camera:
-    """A walk through a fifth of a room's depth, turning by up to 40 degrees per second."""
-    camera, reach = home.resized(*_SIZE), 0.18 * distance
-    turn, pose = 0.7 * seconds / reach, camera.camera_to_world.copy()
-    pose[:3, 3] += pose[:3, :3] @ (reach * np.array([np.sin(turn), 0, np.sin(0.7 * turn)]))
-    yaw, pitch = 40 * np.sin(2 * np.pi * seconds / 6), 10 * np.sin(2 * np.pi * seconds / 4)
-    pose[:3, :3] = turned(pose[:3, :3], yaw, pitch)
-    return camera.at(pose)
 
 
 @contextlib.contextmanager
@@ -84,29 +81,26 @@ def serving(
             process.terminate()
 
 
-def walk(server: Server, seconds: float) -> dict[str, Any]:
+def walk(remote: Remote, seconds: float) -> dict[str, Any]:
     """A client that asks for 60 masks per second: what came, how old it was, and how it looked."""
-    from pathtrace.scene.backend import select_backend
-
-    select_backend("llvm")
-    remote = Remote(server)
-    remote.wait(lambda done, total, label: None)
     home, distance = remote.welcome.camera, remote.welcome.distance
-    trace = simulated(_DISPLAY, *_SIZE, seconds + 1, 0)
+    trace = simulated(DISPLAY, *SIZE, seconds + 1, 0)
     nodes = remote.forest.hierarchy_nodes
     # The first masks are as large as the picture is detailed, and come before the walk begins.
-    remote.look(view_at(home, distance, 0), trace.at(0), _DISPLAY)
+    remote.look(view_at(home, distance, 0), trace.at(0), DISPLAY)
     while not remote.is_current:
         remote.changed.wait(1)
     asked: list[tuple[float, View]] = []
     times, ages, cuts, late = {0: 0.0}, [], {}, []
+    disc_ages: dict[int, float] = {}
     assert remote.cut is not None
     count, begin, before = round(seconds * _RATE), time.monotonic(), (remote.bytes, remote.cut.number)
+    disc_bytes = remote.disc_bytes
     for frame in range(count):
         due = begin + frame / _RATE
         time.sleep(max(0.0, due - time.monotonic()))
         now = time.monotonic()
-        view = view_at(home, distance, now - begin), trace.at(now - begin), _DISPLAY
+        view = view_at(home, distance, now - begin), trace.at(now - begin), DISPLAY
         # That of a frame before may be the newest that was sent.
         sequence, newest = remote.sent
         times.update((sequence, at) for at, one in asked[-60:] if one == newest)
@@ -117,11 +111,20 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
         # Of a view that was sent between two frames the one before counts: it is older.
         known = [n for n in list(times)[-600:] if n <= cut.sequence]
         ages.append(now - (times[known[-1]] if known else begin))
+        disc = remote.disc
+        if disc is not None and disc.message.sequence in times:
+            disc_ages.setdefault(disc.message.sequence, now - times[disc.message.sequence])
         cuts[cut.number] = cut
         late.append((view, cut))
     took = time.monotonic() - begin
     received, number = remote.bytes - before[0], remote.cut.number - before[1]
-    remote.close()
+    disc_bytes = remote.disc_bytes - disc_bytes
+    of_discs = {
+        "mbit_per_s": disc_bytes * 8 / took / 1e6,
+        "per_s": len(disc_ages) / took,
+        "bytes": disc_bytes / max(1, len(disc_ages)),
+        "age_ms": _milliseconds(list(disc_ages.values())),
+    }
     masks = [remote.tree.drawn(cut.split) for cut in cuts.values()]
     compared = [late[k] for k in np.linspace(count // 10, count - 1, _COMPARED).astype(int)]
     return {
@@ -130,11 +133,66 @@ def walk(server: Server, seconds: float) -> dict[str, Any]:
         "mbit_per_s": received * 8 / took / 1e6,
         "masks_per_s": number / took,
         "bytes_per_mask": received / max(1, number),
-        "age_ms": {f"p{p}": 1000 * float(np.percentile(ages, p)) for p in (50, 95, 99)},
+        "age_ms": _milliseconds(ages),
+        **({"discs": of_discs} if disc_ages else {}),
         "holes": sum(_holes(nodes, drawn) for drawn in masks),
         "gaussians": len(remote.forest.finest),
         "drawn": int(np.median([np.count_nonzero(drawn) for drawn in masks])),
         **_pictures(remote, compared),
+    }
+
+
+def _milliseconds(seconds: list[float]) -> dict[str, float]:
+    return {f"p{p}": 1000 * float(np.percentile(seconds, p)) for p in (50, 95, 99)}
+
+
+def jumps(remote: Remote, scene: Scene, forest: Forest) -> dict[str, Any]:
+    """A viewer at rest whose gaze jumps: when the disc is there, and what the picture is like until then.
+
+    `fovea_db` is PSNR against many samples, so many milliseconds after a jump, or rendered on this side.
+    """
+    view = remote.welcome.camera.resized(*SIZE)
+    places = [Gaze(x, y) for y in (0.3, 0.7) for x in (0.2, 0.5, 0.8)] * 2
+    seen: list[tuple[Gaze, list[tuple[float, Cut, StreamedDisc | None]]]] = []
+    for gaze in places:
+        begin, shown = time.monotonic(), []
+        remote.look(view, gaze, DISPLAY)
+        while (now := time.monotonic()) < begin + _REST:
+            cut = remote.cut
+            assert cut is not None
+            shown.append((now - begin, cut, remote.disc))
+            time.sleep(1 / _RATE)
+        seen.append((gaze, shown))
+    remote.close()
+    renderer, tree = SplatRenderer(remote.forest), remote.tree
+    waits: list[float] = []
+    errors: dict[str, list[float]] = {}
+    for gaze, shown in seen[1:]:
+        settings = replace(
+            INTERACTIVE, camera=view, gaze=gaze, display=DISPLAY, acuity_model=remote.welcome.acuity_model
+        )
+        local = LiveRenderer(scene, forest)
+        frame = local.frame(settings)
+        fovea, first = frame.weight_image() >= 1, frame.composite.copy()
+        for seed in range(_SEEDS):
+            frame = local.refined(frame, _SPP, seed + 1, quick=False)
+        truth = srgb_from_radiance(frame.composite[fovea])
+
+        def error(image: Image, fovea: Bits = fovea, truth: Image = truth) -> float:
+            return decibels(float(np.mean((srgb_from_radiance(image[fovea]) - truth) ** 2)))
+
+        waits.append(next(at for at, _, disc in shown if disc is not None and disc.gaze == gaze))
+        for lag in _LAGS:
+            _, cut, disc = next(one for one in reversed(shown) if one[0] <= lag / 1000 or one is shown[0])
+            renderer.hold_cut(tree.drawn(cut.split))
+            late = renderer.frame(replace(settings, level=cut.level))
+            image = (with_disc(late, disc) if disc else late).composite
+            errors.setdefault(f"{lag}", []).append(error(image))
+        errors.setdefault("rendered here", []).append(error(first))
+    return {
+        "jumps": len(waits),
+        "ms_until_the_disc": _milliseconds(waits),
+        "fovea_db": {name: float(np.median(found)) for name, found in errors.items()},
     }
 
 
@@ -150,7 +208,6 @@ def _holes(nodes: HierarchyNodes, drawn: Bits) -> int:
 def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any]:
     """By how many JOD frames of late cuts differ from those of cuts that are found here."""
     from hybrid.measure.perceptual_metrics import jod
-    from hybrid.render.splat_renderer import SplatRenderer
     from hybrid.window.remote.server import ViewCuts
 
     renderer, cuts = SplatRenderer(remote.forest), ViewCuts(remote.forest, _SETTINGS)
@@ -166,8 +223,8 @@ def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any
         local = picture(view, *cuts.split(ViewMessage(1, 0, *view), None))
         shown = picture(view, cut.split, cut.level)
         finest = picture(view, np.ones_like(cut.split), 1e-3)
-        of_late, of_local = (jod(image, finest, _DISPLAY, view[1]) for image in (shown, local))
-        between = jod(shown, local, _DISPLAY, view[1])
+        of_late, of_local = (jod(image, finest, DISPLAY, view[1]) for image in (shown, local))
+        between = jod(shown, local, DISPLAY, view[1])
         if of_late is None or of_local is None or between is None:
             return {"compared": 0}
         direct.append(10 - between)
@@ -179,131 +236,6 @@ def _pictures(remote: Remote, compared: list[tuple[View, Cut]]) -> dict[str, Any
     }
 
 
-def _connected(address: str, token: str) -> connect:
-    headers = {"Authorization": f"Bearer {token}"}
-    protocols = [Subprotocol(SUBPROTOCOL)]
-    return connect(address, additional_headers=headers, subprotocols=protocols, compression=None, proxy=None)
-
-
-class Swarm:
-    """Many clients on this machine, some of them hostile, each in its own way."""
-
-    def __init__(self, server: Server):
-        self._server, self.answers, self.attempts = server, Counter[int](), Counter[str]()
-        self.admitted = 0
-
-    async def honest(self, number: int) -> None:
-        """Asks for a mask now and then, and answers."""
-        async with _connected(self._server.address, self._server.token) as connection:
-            welcome = Welcome.of_text(str(await connection.recv()))
-            trace = simulated(_DISPLAY, *_SIZE, 60, number)
-            sequence, held, due = 0, 0, time.monotonic() + (number % 97) / 97 / _CALM
-            while True:
-                await asyncio.sleep(max(0.0, due - time.monotonic()))
-                # What was late is not made up for.
-                due = max(due + 1 / _CALM, time.monotonic())
-                camera = view_at(welcome.camera, welcome.distance, time.monotonic() % 60)
-                sequence += 1
-                view = ViewMessage(sequence, held, camera, trace.at(time.monotonic() % 60), _DISPLAY)
-                await connection.send(view.packed())
-                held = MaskMessage.unpacked(bytes(await connection.recv(decode=False))).number
-                self.answers[number] += 1
-
-    async def hostile(self, number: int) -> None:
-        """Does the same wrong thing again and again."""
-        kinds = [self._stranger, self._garbage, self._bad, self._slow]
-        kind = kinds[number % len(kinds)]
-        while True:
-            self.attempts[kind.__name__.strip("_")] += 1
-            with contextlib.suppress(OSError, WebSocketException, asyncio.TimeoutError):
-                await kind()
-            await asyncio.sleep(_PAUSE)
-
-    async def _stranger(self) -> None:
-        async with _connected(self._server.address, secrets.token_urlsafe(32)) as connection:
-            await connection.recv()
-            self.admitted += 1
-
-    async def _garbage(self) -> None:
-        host, port = self._server.address.removeprefix("ws://").split(":")
-        reader, writer = await asyncio.open_connection(host, int(port))
-        writer.write(secrets.token_bytes(2000))
-        await writer.drain()
-        await asyncio.wait_for(reader.read(), 30)
-        writer.close()
-
-    async def _bad(self) -> None:
-        """Oversized messages, damaged ones, old ones, and ones that make no sense."""
-        async with _connected(self._server.address, self._server.token) as connection:
-            welcome = Welcome.of_text(str(await connection.recv()))
-            camera = welcome.camera.resized(*_SIZE)
-            view = ViewMessage(7, 0, camera, Gaze(), _DISPLAY).packed()
-            nan = bytearray(view)
-            nan[9:17] = b"\xff" * 8
-            said: list[str | bytes] = [secrets.token_bytes(1 << 20), bytes(nan), view[:-1], "text", b""]
-            for message in (view, secrets.choice([view, *said])):
-                await connection.send(message)
-            async for _ in connection:
-                pass
-
-    async def _slow(self) -> None:
-        """Takes the forest, and masks, a few bytes at a time or not at all."""
-        async with _connected(self._server.address, self._server.token) as connection:
-            welcome = Welcome.of_text(str(await connection.recv()))
-            camera = welcome.camera.resized(*_SIZE)
-            connection.transport.pause_reading()
-            await connection.send(bytes([FOREST_WANTED]))
-            for sequence in range(1, 600):
-                moved = camera.moved_right(sequence * 1e-3)
-                await connection.send(ViewMessage(sequence, 0, moved, Gaze(), _DISPLAY).packed())
-                await asyncio.sleep(0.2)
-
-
-async def many(server: Server, process: int, clients: int, seconds: float) -> dict[str, Any]:
-    """Honest clients alone for a quarter of the time, then as many hostile ones beside them."""
-    swarm, memory = Swarm(server), []
-    rates = []
-    tasks = [asyncio.ensure_future(swarm.honest(number)) for number in range(clients // 2)]
-    try:
-        for share, hostile in ((0.25, 0), (0.75, clients - clients // 2)):
-            tasks += [asyncio.ensure_future(swarm.hostile(number)) for number in range(hostile)]
-            # All are connected, and what is made once is made.
-            await asyncio.sleep(_SETTLE)
-            before, begin = swarm.answers.copy(), time.monotonic()
-            while time.monotonic() - begin < share * seconds:
-                await asyncio.sleep(1)
-                memory.append((time.monotonic(), _resident(process), bool(hostile)))
-            took = time.monotonic() - begin
-            each = [(swarm.answers[n] - before[n]) / took for n in range(clients // 2)]
-            rates.append({"mean": float(np.mean(each)), "least": float(np.min(each))})
-        lost = sum(task.done() for task in tasks[: clients // 2])
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    at, used = np.array([(at, mib) for at, mib, hostile in memory if hostile]).T
-    settled = at > at[0] + (at[-1] - at[0]) / 3
-    return {
-        "clients": clients,
-        "seconds": seconds,
-        "asked_per_s": _CALM,
-        "alone_per_s": rates[0],
-        "beside_hostile_per_s": rates[1],
-        "honest_lost": lost,
-        "attempts": dict(swarm.attempts),
-        "admitted_without_token": swarm.admitted,
-        "mib_alone": float(np.median([mib for _, mib, hostile in memory if not hostile])),
-        "mib_most": float(used.max()),
-        "mib_per_minute": 60 * float(np.polyfit(at[settled], used[settled], 1)[0]),
-    }
-
-
-def _resident(process: int) -> float:
-    """Memory of a process in MiB."""
-    lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024
-
-
 def measured(options: argparse.Namespace) -> dict[str, Any]:
     """Both runs, one after the other."""
     network = {"mbit_per_s": RATE / 1e6, "ms_each_way": 1000 * DELAY, "loss": LOSS}
@@ -311,10 +243,13 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         (work / "token").write_text(secrets.token_urlsafe(32))
-        own = [sys.executable, "-m", "benchmarks.remote", options.scene, "--walk", str(work)]
-        with slow_network(), serving(options, work, ADDRESSES[0], inside(SPACES[0]), []):
-            subprocess.run([*inside(SPACES[1]), *own, "--seconds", str(options.seconds)], check=True)
-        found["walk"] = json.loads((work / "walk.json").read_text())
+        own = [sys.executable, "-m", "benchmarks.remote", options.scene, "--forest", str(options.forest)]
+        own += ["--walk", str(work), "--seconds", str(options.seconds)]
+        for name, discs in (("walk", 0), ("streamed", 1)):
+            more = ["--discs", str(discs)]
+            with slow_network(), serving(options, work, ADDRESSES[0], inside(SPACES[0]), more):
+                subprocess.run([*inside(SPACES[1]), *own, *more], check=True)
+            found[name] = json.loads((work / "walk.json").read_text())
         more = ["--clients", str(options.clients)]
         with serving(options, work, "127.0.0.1", [], more) as process:
             server = Server(f"ws://127.0.0.1:{_PORT}", (work / "token").read_text())
@@ -333,12 +268,31 @@ def main() -> None:
     parser.add_argument("--hostile-seconds", type=float, default=40.0, metavar="N")
     # The part that runs in the client's namespace.
     parser.add_argument("--walk", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--discs", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.walk:
-        server = Server(f"ws://{ADDRESSES[0]}:{_PORT}", (options.walk / "token").read_text())
-        (options.walk / "walk.json").write_text(json_text(walk(server, options.seconds)))
+        (options.walk / "walk.json").write_text(json_text(watched(options)))
         return
     report(measured(options), options.json)
+
+
+def watched(options: argparse.Namespace) -> dict[str, Any]:
+    """What a client sees, with a disc or without."""
+    select_backend("llvm")
+    remote = Remote(Server(f"ws://{ADDRESSES[0]}:{_PORT}", (options.walk / "token").read_text()))
+    remote.wait(_silent)
+    if not options.discs:
+        found = walk(remote, options.seconds)
+        remote.close()
+        return found
+    remote.want(DiscWanted(INTERACTIVE.fov_a, INTERACTIVE.fov_b, INTERACTIVE.spp))
+    found = walk(remote, options.seconds)
+    loaded, forest = with_forest(as_stored(load_scene(options.scene)), options.forest, bars_of(_silent))
+    return found | jumps(remote, loaded, forest)
+
+
+def _silent(done: int, total: int, label: str) -> None:
+    pass
 
 
 if __name__ == "__main__":
