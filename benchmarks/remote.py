@@ -91,11 +91,11 @@ def walk(remote: Remote, seconds: float) -> dict[str, Any]:
     while not remote.is_current:
         remote.changed.wait(1)
     asked: list[tuple[float, View]] = []
-    times, ages, cuts, late = {0: 0.0}, [], {}, []
+    ages, cuts, late = [], {}, []
     disc_ages: dict[int, float] = {}
     assert remote.cut is not None
     count, begin, before = round(seconds * _RATE), time.monotonic(), (remote.bytes, remote.cut.number)
-    disc_bytes = remote.disc_bytes
+    disc_bytes, times = remote.disc_bytes, {0: begin}
     for frame in range(count):
         due = begin + frame / _RATE
         time.sleep(max(0.0, due - time.monotonic()))
@@ -119,12 +119,14 @@ def walk(remote: Remote, seconds: float) -> dict[str, Any]:
     took = time.monotonic() - begin
     received, number = remote.bytes - before[0], remote.cut.number - before[1]
     disc_bytes = remote.disc_bytes - disc_bytes
-    of_discs = {
-        "mbit_per_s": disc_bytes * 8 / took / 1e6,
-        "per_s": len(disc_ages) / took,
-        "bytes": disc_bytes / max(1, len(disc_ages)),
-        "age_ms": _milliseconds(list(disc_ages.values())),
-    }
+    of_discs = {}
+    if disc_ages:
+        of_discs["discs"] = {
+            "mbit_per_s": disc_bytes * 8 / took / 1e6,
+            "per_s": len(disc_ages) / took,
+            "bytes": disc_bytes / len(disc_ages),
+            "age_ms": _milliseconds(list(disc_ages.values())),
+        }
     masks = [remote.tree.drawn(cut.split) for cut in cuts.values()]
     compared = [late[k] for k in np.linspace(count // 10, count - 1, _COMPARED).astype(int)]
     return {
@@ -134,7 +136,7 @@ def walk(remote: Remote, seconds: float) -> dict[str, Any]:
         "masks_per_s": number / took,
         "bytes_per_mask": received / max(1, number),
         "age_ms": _milliseconds(ages),
-        **({"discs": of_discs} if disc_ages else {}),
+        **of_discs,
         "holes": sum(_holes(nodes, drawn) for drawn in masks),
         "gaussians": len(remote.forest.finest),
         "drawn": int(np.median([np.count_nonzero(drawn) for drawn in masks])),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -26,7 +27,7 @@ from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
 from hybrid.window.learning import ShownScene, Watched, forest_to_show
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
-from hybrid.window.window_views import ConvergingFrame, image_of, late_warped
+from hybrid.window.window_views import ConvergingFrame, image_of, late_warped, nearness
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace import Integrator
@@ -140,7 +141,7 @@ class SceneSource:
         return self._last
 
     def warped(self, shown: ShownFrame, newest: Camera) -> ShownFrame:
-        return late_warped(shown, newest, self.renderer.tracer)
+        return late_warped(shown, newest, partial(nearness, tracer=self.renderer.tracer))
 
     def renew(self, report: Progress) -> bool:
         if self._watched is None:

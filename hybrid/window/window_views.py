@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -141,10 +142,12 @@ _SAME_VIEWPOINT = 1e-6
 _NEAREST = 1e-6
 
 
-def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame:
+def late_warped(shown: ShownFrame, newest: Camera, near: Callable[[Camera], Float]) -> ShownFrame:
     """A frame as the newest camera sees it, at the frame's size.
 
-    It is returned as it is if that camera is its own. The disc stays where it was traced. The time taken is
+    `near` gives the inverse depth of what a camera sees in each cell of its `grid`, for `warped`; it is asked
+    for only if the newest camera has not just turned. The frame is returned as it is if that camera is its
+    own. The disc stays where it was traced. The time taken is
     that of a pass, "warp".
     """
     if newest == shown.request.settings.camera:
@@ -154,12 +157,12 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
     # To one that has only turned, all depths look alike.
     turned = np.allclose(camera.position, newest.position, rtol=0, atol=_SAME_VIEWPOINT)
     rows, columns = grid(camera)
-    near = dr.zeros(arrays.plain.Float, rows * columns) if turned else nearness(camera, tracer)
+    depths = dr.zeros(arrays.plain.Float, rows * columns) if turned else near(camera)
     plain, size = arrays.plain, (camera.width, camera.height)
     values = plain.Float(uploaded(plain.UInt8, shown.image))
     dr.eval(values)
     image = DeviceImage(arrays, values, *size, camera.width)
-    flat = warped(image, near, camera, newest).values
+    flat = warped(image, depths, camera, newest).values
     pixels = np.asarray(plain.UInt8(flat + 0.5)).reshape(shown.image.shape)
     clock.lap("warp")
     passes, took = dict(shown.milliseconds), clock.milliseconds()
@@ -168,7 +171,7 @@ def late_warped(shown: ShownFrame, newest: Camera, tracer: Tracer) -> ShownFrame
 
 
 def nearness(camera: Camera, tracer: Tracer) -> Float:
-    """Inverse depth, 0 or more, of what a camera sees in each cell of its `grid`, for `warped`."""
+    """Inverse depth, 0 or more, of what a camera sees in each cell of its `grid`, by rays."""
     arrays, (rows, columns) = device_arrays(), grid(camera)
     plain = arrays.plain
     corner = pixel_positions(dr.arange(plain.UInt, rows * columns), columns)

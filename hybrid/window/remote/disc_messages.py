@@ -25,10 +25,11 @@ _DISC = struct.Struct("<BIiiHddf?fI")
 _NUMBERS = "sequence", "left", "top", "side", "fov_a", "fov_b", "spp", "final", "greatest"
 # Pixels of a disc's square: that of a radius of 15 % in a frame of 4K, and a fifth more.
 MOST_PIXELS = 1 << 19
-# Of JPEG, while the view changes and when the disc has its last samples. Colour keeps its resolution: where
+# Of JPEG, while the view changes and when the disc has its last samples: at 85 it would be 2 dB worse than
+# what was rendered (`room`, single samples). Colour keeps its resolution: where
 # people look, they resolve nearly as much of it as of luminance (89 of 94 pixels per degree, red and green;
 # Ashraf et al. 2025).
-_QUALITY, _FINAL_QUALITY = 85, 95
+_QUALITY, _FINAL_QUALITY = 95, 98
 # Steps of inverse depths, of which the greatest is given as it is.
 _STEPS = 255
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
 
 from compose.eye.gaze import Gaze
 from compose.image.device_image import srgb_bytes
+from hybrid.base.compute_device import release_memory
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
@@ -20,6 +22,8 @@ from splat.model.forest import Forest
 
 # Samples per pixel that are added at once while the view stays, and from which on it is good enough.
 _MORE, _ENOUGH = 8, 64
+# Seconds between two releases of unused memory, each of which takes milliseconds.
+_RELEASE_EVERY = 2.0
 # Pixels: a smaller disc has none.
 _LEAST_RADIUS = 0.5
 # Paths of one disc: those of a quarter of a second on two cores.
@@ -37,7 +41,7 @@ class DiscServer:
     def __init__(self, scene: Scene, forest: Forest, acuity_model: str):
         self._renderer = LiveRenderer(scene, forest)
         self._settings = replace(INTERACTIVE, acuity_model=acuity_model)
-        self._seed = 0
+        self._seed, self._released = 0, time.monotonic()
         # What the last frame was made for.
         self._last: tuple[FrameSettings, Frame] | None = None
 
@@ -70,6 +74,10 @@ class DiscServer:
             camera=square,
         )
         self._seed += 1
+        if time.monotonic() - self._released > _RELEASE_EVERY:
+            # What discs of other sizes needed.
+            release_memory()
+            self._released = time.monotonic()
         if self._last is not None and settings == self._last[0]:
             frame = self._renderer.refined(self._last[1], max(_MORE, spp), self._seed, quick=False)
         else:

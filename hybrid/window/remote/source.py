@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import drjit as dr
 import numpy as np
 
 from compose.camera.camera import Camera
-from hybrid.base.compute_device import PassClock
+from compose.fovea.warping import grid
+from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.base.progress import Progress
 from hybrid.render.image_files import write_srgb
 from hybrid.render.splat_renderer import SplatRenderer
@@ -17,8 +20,11 @@ from hybrid.window.messages import Ready, Request, Server, ShownFrame, ShownView
 from hybrid.window.remote.client import Cut, Remote
 from hybrid.window.remote.disc_messages import DiscWanted, StreamedDisc
 from hybrid.window.remote.shown_disc import with_disc
-from hybrid.window.window_views import image_of
+from hybrid.window.window_views import image_of, late_warped
 from pathtrace.scene.backend import select_backend
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
 
 # Seconds for which a disc is shown in views of other places.
 _STALE = 1.0
@@ -86,7 +92,7 @@ class RemoteSource:
         return self._noted(ShownFrame(image, request, frame, 0, frame.milliseconds, 0, finished=False))
 
     def warped(self, shown: ShownFrame, newest: Camera) -> ShownFrame:
-        return shown
+        return late_warped(shown, newest, self._nearness)
 
     def renew(self, report: Progress) -> bool:
         return False
@@ -98,6 +104,11 @@ class RemoteSource:
         if self._last is not None:
             write_srgb(png, self._last.image)
             self._last.frame.save(png.with_suffix(".exr"))
+
+    def _nearness(self, camera: Camera) -> Float:
+        # There are no surfaces here; for the few milliseconds since a frame was begun, a usual depth will do.
+        rows, columns = grid(camera)
+        return dr.full(device_arrays().plain.Float, 1 / self._remote.welcome.distance, rows * columns)
 
     def _has_changed(self, camera: Camera) -> bool:
         """Whether there is another cut or disc to show than the last ones."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -147,8 +147,8 @@ def test_a_view_that_needs_a_path_traced_frame_says_so():
             image_of(view, frame(), None)
 
 
-# One that cannot be asked for depths.
-NO_TRACER: Any = SimpleNamespace()
+def no_depths(camera: Camera) -> NoReturn:
+    pytest.fail("nobody has moved")
 
 
 def shown_from(source: SceneSource, camera: Camera, **settings: Any) -> ShownFrame:
@@ -178,21 +178,21 @@ def camera(source) -> Camera:
 
 def test_a_frame_of_the_newest_camera_is_shown_as_it_is(source, camera):
     late = shown_from(source, camera)
-    assert late_warped(late, replace(camera), NO_TRACER) is late
+    assert late_warped(late, replace(camera), no_depths) is late
 
 
 @pytest.mark.parametrize(("right", "degrees"), [(0.08, 0.0), (0.0, 3.0), (-0.05, 1.5)])
 def test_a_late_frame_comes_closer_to_what_is_seen_now(source, camera, right, degrees):
     newest = moved(camera, right * source.ready().distance, degrees)
     late = shown_from(source, camera)
-    warped = late_warped(late, newest, source.renderer.tracer)
+    warped = source.warped(late, newest)
     expected = shown_from(source, newest)
     assert decibels(warped, expected) > decibels(late, expected) + 4
 
 
 def test_the_warp_is_a_pass_of_the_frame(source, camera):
     late = shown_from(source, camera)
-    warped = late_warped(late, moved(camera, degrees=2.0), NO_TRACER)
+    warped = late_warped(late, moved(camera, degrees=2.0), no_depths)
     assert (warped.image.dtype, warped.image.shape) == (np.uint8, (120, 160, 3))
     assert [*warped.milliseconds][-2:] == ["warp", "total"]
     added = warped.milliseconds["total"] - late.milliseconds["total"]
@@ -204,5 +204,5 @@ def test_the_warp_is_a_pass_of_the_frame(source, camera):
 def test_a_frame_of_half_the_size_keeps_it(source, camera):
     late, newest = shown_from(source, camera, scale=0.5), moved(camera, degrees=3.0)
     assert late.image.shape == (60, 80, 3)
-    warped, expected = late_warped(late, newest, NO_TRACER), shown_from(source, newest, scale=0.5)
+    warped, expected = late_warped(late, newest, no_depths), shown_from(source, newest, scale=0.5)
     assert decibels(warped, expected) > decibels(late, expected) + 4

@@ -15,9 +15,10 @@ import pytest
 
 from compose.camera.camera import Camera
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.messages import Server
+from hybrid.window.messages import Request, Server, ShownFrame
 from hybrid.window.remote.client import Remote
 from hybrid.window.remote.server import Limits, Listening, ViewServer
+from hybrid.window.remote.source import RemoteSource
 from splat.model.forest import Forest, forest_of
 from splat.model.trees import build_forest, static_layer
 from tests.splat.lod.views import frame_camera
@@ -119,6 +120,14 @@ def until(remote: Remote, holds: Callable[[], object]) -> None:
     while not holds():
         assert remote.changed.wait(LONG)
         remote.changed.clear()
+
+
+def shown_at_last(source: RemoteSource, request: Request) -> ShownFrame:
+    """What a source shows once nothing better follows."""
+    shown = source.show(request, quick=True)
+    while not shown.finished:
+        shown = source.show(request, quick=True)
+    return shown
 
 
 def drawn_leaves(remote: Remote) -> np.ndarray:

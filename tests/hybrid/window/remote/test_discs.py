@@ -36,7 +36,7 @@ from hybrid.window.remote.source import RemoteSource
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
-from tests.hybrid.window.remote.conftest import ACUITY, until
+from tests.hybrid.window.remote.conftest import ACUITY, shown_at_last, until
 
 DISPLAY = DISPLAYS["desktop"]
 WANTED = DiscWanted(20.0, 15.0, 1)
@@ -281,18 +281,11 @@ class TestMessages:
 class TestStreaming:
     """Both ends together."""
 
-    @staticmethod
-    def shown_at_last(source: RemoteSource, request: Request):
-        shown = source.show(request, quick=True)
-        while not shown.finished:
-            shown = source.show(request, quick=True)
-        return shown
-
     def test_the_window_shows_the_disc_and_refines_it(self, serve, traced, box, forest):
         with serve(traced=traced, given=traced[1]) as served:
             source = RemoteSource(served.link())
             request = Request(replace(INTERACTIVE, camera=box, fov_a=20, fov_b=15))
-            shown = self.shown_at_last(source, request)
+            shown = shown_at_last(source, request)
             assert shown.spp >= 64
             assert shown.frame.region.count == np.count_nonzero(shown.frame.weight_image() > 0)
             frame = refined(traced, request.settings)
@@ -300,12 +293,12 @@ class TestStreaming:
             assert psnr(shown.image[inside], bytes_from_radiance(frame.composite)[inside]) > 33
             # Another radius, with the mouse at rest.
             wider = Request(replace(request.settings, fov_a=30, fov_b=20))
-            shown = self.shown_at_last(source, wider)
+            shown = shown_at_last(source, wider)
             assert shown.frame.settings.fov_a == 30
             without = source.show(replace(wider, view=ShownView.PERIPHERY), quick=True)
             assert (without.image != shown.image).any()
             # None, and it is gone.
-            shown = self.shown_at_last(source, Request(replace(request.settings, fov_a=0, fov_b=0)))
+            shown = shown_at_last(source, Request(replace(request.settings, fov_a=0, fov_b=0)))
             assert not shown.frame.region.count
             source.close()
         assert served.server.facts["faults"] == 0
@@ -330,6 +323,6 @@ class TestStreaming:
     def test_a_server_without_discs_says_so(self, serve, camera):
         with serve() as served:
             source = RemoteSource(served.link())
-            shown = self.shown_at_last(source, Request(replace(INTERACTIVE, camera=camera)))
+            shown = shown_at_last(source, Request(replace(INTERACTIVE, camera=camera)))
             assert not shown.frame.region.count
             source.close()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from compose.camera.camera import turned
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import home
@@ -17,7 +18,14 @@ from hybrid.window.messages import Request, Server, ShownView
 from hybrid.window.remote.protocol import ViewMessage
 from hybrid.window.remote.server import ViewCuts, with_hierarchy
 from hybrid.window.remote.source import RemoteSource, prepared_remote
-from tests.hybrid.window.remote.conftest import ACUITY, TOKEN, drawn_leaves, settings, until
+from tests.hybrid.window.remote.conftest import (
+    ACUITY,
+    TOKEN,
+    drawn_leaves,
+    settings,
+    shown_at_last,
+    until,
+)
 
 DISPLAY = DISPLAYS["desktop"]
 
@@ -96,9 +104,7 @@ def test_a_lost_connection_is_made_again(serve, camera):
     with serve(port=served.port):
         until(remote, lambda: not remote.trouble)
         other = Request(FrameSettings(camera=camera.moved_right(1)))
-        shown = source.show(other, quick=True)
-        while not shown.finished:
-            shown = source.show(other, quick=True)
+        shown = shown_at_last(source, other)
         assert shown.notice == ""
         assert remote.cut.sequence > before.sequence
         remote.close()
@@ -118,9 +124,7 @@ def test_the_picture_is_that_of_the_local_cut(serve, forest, camera):
     asked = FrameSettings(camera=camera, gaze=(0.3, 0.6))
     with serve(level=4.0) as served:
         source = RemoteSource(served.link())
-        shown = source.show(Request(asked), quick=True)
-        while not shown.finished:
-            shown = source.show(Request(asked), quick=True)
+        shown = shown_at_last(source, Request(asked))
         source.close()
     own = with_hierarchy(forest)
     local, cuts = SplatRenderer(own), ViewCuts(own, settings(4.0))
@@ -131,6 +135,25 @@ def test_the_picture_is_that_of_the_local_cut(serve, forest, camera):
     # What `level` draws without a server differs where a level changes on the way up a tree.
     free = SplatRenderer(own).frame(replace(asked, level=level, acuity_model=ACUITY))
     assert np.abs(free.composite - expected).mean() < 0.02 * free.composite.mean()
+
+
+# Not both at once, the one against the other: only at one depth does nothing move then.
+@pytest.mark.parametrize(("right", "degrees"), [(0.05, 0.0), (0.0, 3.0)])
+def test_a_late_frame_comes_closer_to_what_is_seen_now(serve, camera, right, degrees):
+    pose = camera.camera_to_world
+    pose[:3, 3] += pose[:3, 0] * 4.0 * right
+    pose[:3, :3] = turned(pose[:3, :3], degrees, 0.0)
+    newest = camera.at(pose)
+    with serve() as served:
+        source = RemoteSource(served.link())
+        late, expected = (
+            shown_at_last(source, Request(FrameSettings(camera=view))).image.astype(float)
+            for view in (camera, newest)
+        )
+        shown = source.show(Request(FrameSettings(camera=camera)), quick=True)
+        warped = source.warped(shown, newest)
+        assert np.mean((warped.image - expected) ** 2) < 0.5 * np.mean((late - expected) ** 2)
+        source.close()
 
 
 def test_views_that_need_paths_show_the_splats(serve, camera, tmp_path):
