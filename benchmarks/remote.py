@@ -90,6 +90,7 @@ def walk(remote: Remote, seconds: float) -> dict[str, Any]:
     remote.look(view_at(home, distance, 0), trace.at(0), DISPLAY)
     while not remote.is_current:
         remote.changed.wait(1)
+        remote.changed.clear()
     asked: list[tuple[float, View]] = []
     ages, cuts, late = [], {}, []
     disc_ages: dict[int, float] = {}

@@ -54,7 +54,7 @@ _FIRST_DELAY, _MOST_DELAY, _PATIENCE = 0.25, 8.0, 10.0
 _AGAIN = 0.1
 # Masks that a server may use as a base; honest ones use none that is older.
 _MOST_MASKS = 32
-# Views that a disc may still come for: those of some seconds.
+# Views that a mask or a disc may still come for: those of some seconds.
 _MOST_VIEWS = 512
 # Share of the views that the server takes, so that it never gets more of them.
 _PACE = 0.9
@@ -110,7 +110,7 @@ class Remote:
         self._wanted: DiscWanted | None = None
         # Number of the first view after the server was told what disc is wanted.
         self._told_at = 1
-        # By number, those that were sent and that a newer disc than the last may be for.
+        # The last ones that were sent, by number: they are what a mask or a disc may be for.
         self._views: dict[int, View] = {}
         self.sent: tuple[int, View | None] = 0, None
         self._progress = 0, 1
@@ -147,9 +147,12 @@ class Remote:
 
     @property
     def is_current(self) -> bool:
-        """Whether the newest cut is the one for the view that was asked for last."""
-        sequence, view = self.sent
-        return self.cut is not None and self.cut.sequence == sequence and view is self._view
+        """Whether the newest cut is one for the view that was asked for last."""
+        return self.cut is not None and self._is_of_view(self.cut.sequence)
+
+    def _is_of_view(self, sequence: int) -> bool:
+        """Whether what was sent with a number is the view that was asked for last."""
+        return self._view is not None and self._views.get(sequence) is self._view
 
     def close(self) -> None:
         """Ends the connection; returns when it has ended."""
@@ -244,7 +247,6 @@ class Remote:
 
     async def _send_views(self, connection: ClientConnection, received: _Received) -> None:
         pace, due = 1 / (_PACE * self.welcome.rate), 0.0
-        last: View | None = None
         told: DiscWanted | None = None
         while True:
             with contextlib.suppress(asyncio.TimeoutError):
@@ -252,10 +254,11 @@ class Remote:
             await asyncio.sleep(max(0.0, due - time.monotonic()))
             self._news.clear()
             view, (sequence, _) = self._view, self.sent
-            is_answered = view is last and received.sequence == sequence
+            is_answered = self._is_of_view(received.sequence) and not received.has_missed
             if view is None or (is_answered and told == self._wanted):
                 continue
-            last, due = view, time.monotonic() + pace
+            received.has_missed = False
+            due = time.monotonic() + pace
             if self._wanted is not None and self._wanted != told:
                 told, self._told_at = self._wanted, sequence + 1
                 await connection.send(told.packed())
@@ -280,6 +283,7 @@ class Remote:
                 self.changed.set()
             else:
                 # Asks again, with the base that is there.
+                received.has_missed = True
                 self._news.set()
 
     def _take_disc(self, message: DiscMessage) -> None:
@@ -287,7 +291,6 @@ class Remote:
         if view is None:
             # Of a view that was forgotten, or never sent.
             return
-        self._views = {n: one for n, one in self._views.items() if n >= message.sequence}
         camera, gaze, _ = view
         self.disc = StreamedDisc.of(message, camera, gaze) if message.side else None
         self.disc_is_final = message.final and view is self._view and message.sequence >= self._told_at
@@ -300,7 +303,10 @@ class _Received:
     Attributes:
         held: number of the newest; 0 for none.
         sequence: of the view that it is for.
+        has_missed: whether there was one that could not be taken since the last view was sent.
     """
+
+    has_missed = False
 
     def __init__(self, inner: int):
         self._masks = {0: np.zeros(inner, np.bool_)}

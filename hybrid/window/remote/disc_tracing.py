@@ -20,8 +20,8 @@ from hybrid.window.window_views import nearness
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-# Samples per pixel that are added at once while the view stays, and from which on it is good enough.
-_MORE, _ENOUGH = 8, 64
+# Samples per pixel that are added at once while the view stays: masks wait for them. And so many are enough.
+_MORE, _ENOUGH = 4, 64
 # Seconds between two releases of unused memory, each of which takes milliseconds.
 _RELEASE_EVERY = 2.0
 # Pixels: a smaller disc has none.

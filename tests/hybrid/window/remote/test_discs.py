@@ -113,7 +113,7 @@ class TestTracing:
                 break
         assert message.final
         assert counts[0] == 1
-        assert (np.diff(counts) >= 7.9).all()
+        assert (np.diff(counts) >= 3.9).all()
         assert counts[-1] >= 64
         other = server.message(view(box, Gaze(0.6, 0.5), number + 1), WANTED)
         assert not other.final
