@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from compose.base.errors import UserError
-from compose.eye.gaze import MOST_SECONDS, load_gaze_trace, simulated
+from compose.base.errors import UserError, one_line
+from compose.eye.display import Display
+from compose.eye.gaze import MOST_SECONDS, GazeTrace, load_gaze_trace, simulated
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.cli.serve import TokenFile, read_token
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 
 if TYPE_CHECKING:
+    from hybrid.window.learning import ShownScene
     from hybrid.window.messages import Server
 
 # Duration of a simulated gaze trace in seconds.
@@ -97,6 +100,12 @@ def demo(
             help="Port for the browser, also without --browser. Default: a free one.", min=1, max=65535
         ),
     ] = None,
+    xr: Annotated[
+        bool,
+        typer.Option(
+            "--xr", help="Show it in a headset by OpenXR, whose eyes have frames of the height of --size."
+        ),
+    ] = False,
     display: o.DisplayName = "desktop",
     thin_glass: o.ThinGlass = False,
     sensor: o.Sensor = None,
@@ -113,6 +122,8 @@ def demo(
     backend: o.Backend = "auto",
 ) -> o.Measured:
     """Look around in a window: the mouse is the gaze, and what is path-traced follows it."""
+    from hybrid.window.learning import ShownScene
+
     o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
@@ -135,20 +146,25 @@ def demo(
     if target is not None and settings.is_continuous:
         raise UserError("--target: chooses layers; leave out --level, --gaussians and --level-jod")
     o.check_writable(out / "picture.png")
-    if gaze_trace is not None and simulate:
-        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
-    # Without any, the mouse is the gaze.
-    trace = None
-    if simulate:
-        trace = simulated(settings.display, *size, _SIMULATED, seed)
-    elif gaze_trace is not None:
-        trace = load_gaze_trace(gaze_trace).on(settings.display, *size)
+    trace = _trace(gaze_trace, simulate, settings.display, size, seed)
+    if xr:
+        _require_none(
+            browser=browser,
+            port=port,
+            server=server,
+            gaze_trace=gaze_trace,
+            simulate=simulate,
+            target=target,
+            latency=latency,
+            load=load,
+        )
+        shown = ShownScene(str(scene), thin_glass, sensor, backend)
+        return _in_headset(shown, forest, settings, size[1], play, learning, bench)
     from hybrid.window.qt_check import window_problem
 
     why = None if browser or port is not None else window_problem()
     if why is not None:
         print(f"in a browser, since {why}", flush=True)
-    from hybrid.window.learning import ShownScene
     from hybrid.window.viewer import Viewer, WindowOptions, viewer_of
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
@@ -171,6 +187,59 @@ def demo(
     found, summary = viewer.measured()
     if bench is not None:
         print(summary)
+    return found
+
+
+def _trace(
+    file: Path | None, simulate: bool, display: Display, size: tuple[int, int], seed: int
+) -> GazeTrace | None:
+    """The gaze to replay; None if the mouse is the gaze."""
+    if file is not None and simulate:
+        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
+    if simulate:
+        return simulated(display, *size, _SIMULATED, seed)
+    return None if file is None else load_gaze_trace(file).on(display, *size)
+
+
+def _require_none(**options: object) -> None:
+    """UserError if one of some options, which say nothing of a headset, is given."""
+    for name, value in options.items():
+        if value:
+            raise UserError(f"--xr: leave out --{name.replace('_', '-')}")
+
+
+def _in_headset(
+    scene: ShownScene,
+    forest: Path | None,
+    settings: FrameSettings,
+    height: int,
+    plays: bool,
+    learns: bool,
+    seconds: float | None,
+) -> o.Measured:
+    try:
+        from hybrid.window.openxr_headset import OpenXRHeadset
+    except ImportError as error:
+        install = "pip install 'foveated-hybrid-renderer[xr]'"
+        raise UserError(f"--xr: requires pyopenxr: {install} ({one_line(error)})") from error
+    from hybrid.window.controls import Playback
+    from hybrid.window.frame_source import prepared
+    from hybrid.window.headset import show_in_headset
+    from hybrid.window.meter import figures, summary
+
+    with OpenXRHeadset() as headset, progress_bar("demo") as bar:
+        source = prepared(scene, forest, learns, settings, bar, lambda line: print(line, flush=True))
+        length = source.ready().seconds
+        playback = None if length is None else Playback(length)
+        if playback is not None:
+            playback.playing = plays
+        try:
+            meter, shape = show_in_headset(headset, source, settings, height, playback, seconds)
+        finally:
+            source.close()
+    found = figures(meter, shape, 0.0)
+    if seconds is not None:
+        print(summary(found))
     return found
 
 

@@ -22,12 +22,14 @@ from splat.model.forest import Forest
 
 # Samples per pixel that are added at once while the view stays: masks wait for them. And so many are enough.
 _MORE, _ENOUGH = 4, 64
+# Growth of the time per path from one disc to the next, if it has grown.
+_SLOWER = 1.1
 # Seconds between two releases of unused memory, each of which takes milliseconds.
 _RELEASE_EVERY = 2.0
 # Pixels: a smaller disc has none.
-_LEAST_RADIUS = 0.5
-# Paths of one disc: those of a quarter of a second on two cores.
-_MOST_PATHS = 1 << 18
+_LEAST_RADIUS = 2.0
+# Paths of one disc; and seconds that one may take for which others wait.
+_MOST_PATHS, _MOST_SECONDS = 1 << 19, 0.15
 
 
 class DiscServer:
@@ -42,6 +44,8 @@ class DiscServer:
         self._renderer = LiveRenderer(scene, forest)
         self._settings = replace(INTERACTIVE, acuity_model=acuity_model)
         self._seed, self._released = 0, time.monotonic()
+        # Seconds per path; 0 before the first disc.
+        self._pace = 0.0
         # What the last frame was made for.
         self._last: tuple[FrameSettings, Frame] | None = None
 
@@ -50,9 +54,16 @@ class DiscServer:
         self._renderer.forget()
         self._last = None
 
-    def message(self, view: ViewMessage, wanted: DiscWanted) -> DiscMessage:
-        """The disc of a view, with more samples if the last one was for the same."""
-        radius, spp = _affordable(wanted, view.camera.height)
+    def message(self, view: ViewMessage, wanted: DiscWanted, others_wait: bool = False) -> DiscMessage:
+        """The disc of a view, with more samples if the last one was for the same.
+
+        If others wait for the thread, it is no larger than what is traced in a seventh of a second.
+        """
+        most = _MOST_PATHS
+        if others_wait and self._pace:
+            most = min(most, max(1, int(_MOST_SECONDS / self._pace)))
+        radius, spp = _affordable(wanted, view.camera.height, most)
+        begin = time.monotonic()
         side = 2 * math.ceil(radius) + 2
         x, y = view.gaze.pixel(view.camera.width, view.camera.height)
         left, top = math.floor(x) - side // 2, math.floor(y) - side // 2
@@ -79,7 +90,8 @@ class DiscServer:
             release_memory()
             self._released = time.monotonic()
         if self._last is not None and settings == self._last[0]:
-            frame = self._renderer.refined(self._last[1], max(_MORE, spp), self._seed, quick=False)
+            spp = spp if others_wait else max(_MORE, spp)
+            frame = self._renderer.refined(self._last[1], spp, self._seed, quick=False)
         else:
             frame = self._renderer.frame(settings, self._seed)
         self._last = settings, frame
@@ -89,12 +101,14 @@ class DiscServer:
         image = frame.image.packed().changed(frame.fovea.disc.pixels, frame.fovea.radiance)
         pixels = srgb_bytes(image.arrays, image.values, (side, side, 3))
         near = np.asarray(nearness(square, self._renderer.tracer))
+        # The first ones compile kernels; what was once possible is forgotten slowly.
+        took = (time.monotonic() - begin) / max(1, frame.region.count * spp)
+        self._pace = min(took, _SLOWER * self._pace) if self._pace else took
         where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a, samples, final)
         return replace(where, **content_of(pixels, near, final))
 
 
-def _affordable(wanted: DiscWanted, height: int) -> tuple[float, int]:
-    """Radius in pixels and samples per pixel of a disc, no more than it may have."""
-    radius = min(wanted.fov_a / 100 * height, math.sqrt(MOST_PIXELS) / 2 - 2)
-    most = int(_MOST_PATHS / (math.pi * max(1.0, radius) ** 2))
-    return radius, max(1, min(wanted.spp, most))
+def _affordable(wanted: DiscWanted, height: int, most: int) -> tuple[float, int]:
+    """Radius in pixels and samples per pixel of a disc of so many paths at most."""
+    radius = min(wanted.fov_a / 100 * height, math.sqrt(MOST_PIXELS) / 2 - 2, math.sqrt(most / math.pi))
+    return radius, max(1, min(wanted.spp, int(most / (math.pi * max(1.0, radius) ** 2))))

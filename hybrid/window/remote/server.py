@@ -330,7 +330,7 @@ class ViewServer:
                 await on_worker(client.disc.forget)
             begin, message = time.monotonic(), DiscMessage(asked[0].sequence)
             if client.disc is not None:
-                message = await on_worker(client.disc.message, *asked)
+                message = await on_worker(client.disc.message, *asked, len(self._clients) > 1)
             packed = message.packed()
             client.disc_sent(asked, message.final)
             self.facts["discs"] += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import zlib
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from hybrid.render.image_files import jpeg_bytes
 from hybrid.render.splat_renderer import SplatRenderer
 from hybrid.window.messages import Request, ShownView
+from hybrid.window.remote import disc_tracing
 from hybrid.window.remote.disc_messages import (
     MOST_PIXELS,
     DiscMessage,
@@ -127,6 +129,18 @@ class TestTracing:
         assert message.final
         assert DiscMessage.unpacked(message.packed()) == message
 
+    def test_a_disc_that_others_wait_for_is_smaller_where_paths_take_long(self, traced, box, monkeypatch):
+        server = DiscServer(*traced, ACUITY)
+        alone = server.message(view(box, Gaze()), WANTED)
+        # So many seconds for so many paths.
+        monkeypatch.setattr(disc_tracing, "_MOST_SECONDS", 500.0)
+        server._pace = 1.0
+        assert server.message(view(box, Gaze(0.4), 2), WANTED).side == alone.side
+        server._pace = 1.0
+        message = server.message(view(box, Gaze(0.5), 3), WANTED, others_wait=True)
+        assert message.side == 2 * math.ceil(math.sqrt(500 / math.pi)) + 2
+        assert message.fov_b / message.fov_a == pytest.approx(0.75)
+
     @extreme(
         "a streamed disc of everything",
         given="radius of 10,000 %, 65,535 samples",
@@ -137,7 +151,7 @@ class TestTracing:
         assert got(message.side**2) <= MOST_PIXELS
         assert message.fov_a < 1e4
         assert message.fov_b == pytest.approx(message.fov_a / 2)
-        assert message.spp <= (1 << 18) / (160 * 120) + 1
+        assert message.spp <= (1 << 19) / (160 * 120) + 1
         StreamedDisc.of(DiscMessage.unpacked(message.packed()), box, Gaze())
 
 
