@@ -61,7 +61,7 @@ MEASUREMENTS = {
     },
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
     "late-warp": f"python -m benchmarks.late_warp room {_FRAMES}",
-    "remote": f"python -m benchmarks.remote room --seconds 30 {_FRAMES}",
+    "remote": f"python -m benchmarks.remote room --seconds 170 --hostile-seconds 600 {_FRAMES}",
     "integrator-room": "hybrid bench integrator room --reference-spp 512",
     "integrator-staircase2": "hybrid bench integrator STAIRCASE --reference-spp 512",
     "raster": "hybrid bench raster",
@@ -71,6 +71,7 @@ MEASUREMENTS = {
     "gaze": f"hybrid bench gaze room {_FRAMES} --size 960 540 --latency 50 --gaze-error 0 --fps 72 "
     "--seconds 0.5 --clips 3",
     "studies": "python -m benchmarks.studies VISION",
+    "long-window": f"python -m benchmarks.long_window room VISION {_FRAMES}",
 }
 
 

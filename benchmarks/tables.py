@@ -410,7 +410,7 @@ def late_warp() -> str:
 
 
 def remote() -> str:
-    """What masks cost and show over a slow network, and what hostile clients do to the server."""
+    """What masks and discs cost and show over a slow network, and what hostile clients do to the server."""
     form = """\
 network | {network[mbit_per_s]:.0f} Mbit/s, {network[ms_each_way]:.0f} ms each way, {network[loss]:.0%} loss
 masks per second, frames | {walk[masks_per_s]:.0f}, {walk[frames]:,}
@@ -418,15 +418,29 @@ Mbit/s of masks | {walk[mbit_per_s]:.2f}
 age of the mask in use, ms, p50 / p99 | {walk[age_ms][p50]:.0f} / {walk[age_ms][p99]:.0f}
 frames with holes | {walk[holes]}
 JOD lost against local cuts, mean / most | {lost[mean]:.3f} / {lost[most]:.3f}
+with discs: discs and masks per second | {discs[per_s]:.0f}, {streamed[masks_per_s]:.0f}
+with discs: Mbit/s of discs and masks | {discs[mbit_per_s]:.2f} + {streamed[mbit_per_s]:.2f}
+age of a disc when it comes, ms, p50 / p99 | {discs[age_ms][p50]:.0f} / {discs[age_ms][p99]:.0f}
+from a jump of the gaze to the disc there, ms, p50 / p95 | {wait[p50]:.0f} / {wait[p95]:.0f}
+fovea against many samples, dB: {lags} ms after a jump; rendered here | {fovea}
 clients, half of them hostile; seconds | {many[clients]}; {many[seconds]:.0f}
 masks per second of an honest one, of as many views: alone / beside the hostile | {rates} of {asked:.0f}
 honest clients lost, clients let in without the token | {many[honest_lost]}, {many[admitted_without_token]}
 server's memory, MiB: alone, most; growth per minute | {memory}; {many[mib_per_minute]:+.1f}"""
     found = result("remote")
+    streamed = found["streamed"]
+    errors = dict(streamed["fovea_db"])
+    here = errors.pop("rendered here")
+    more = {
+        "discs": streamed["discs"],
+        "wait": streamed["ms_until_the_disc"],
+        "lags": ", ".join(errors),
+        "fovea": "; ".join([", ".join(f"{value:.1f}" for value in errors.values()), f"{here:.1f}"]),
+    }
     many, lost = found["many"], found["walk"]["jod_lost_against_finest"]
     rates = " / ".join(f"{many[f'{name}_per_s']['mean']:.2f}" for name in ("alone", "beside_hostile"))
     memory, asked = f"{many['mib_alone']:.0f}, {many['mib_most']:.0f}", many["asked_per_s"]
-    text = form.format(**found, lost=lost, rates=rates, memory=memory, asked=asked)
+    text = form.format(**found, **more, lost=lost, rates=rates, memory=memory, asked=asked)
     return _table(" | ", text.splitlines(), "remote")
 
 
@@ -473,6 +487,18 @@ def _fused() -> tuple[str, str]:
     ]
     what = "the same, three unseen views: a fused fovea against a denoised one, over a draft forest"
     return what, ", ".join(gains)
+
+
+def long_window() -> str:
+    """Memory and times of the window in a browser over hours."""
+    found = result("long-window")
+    rows = [f"hours, frames | {found['hours']:.1f}, {found['frames']:,}"]
+    for name, title in (("window_mib", "memory of the command, MiB"), ("browser_mib", "of the browser, MiB")):
+        form = "{first:.0f}, {last:.0f}, {most:.0f}; {per_hour:+.1f}"
+        rows.append(f"{title}: first quarter, last, most; growth per hour | {form.format(**found[name])}")
+    for name, title in (("frame_ms", "ms per frame"), ("latency_ms", "ms from mouse to screen")):
+        rows.append(f"{title}: first quarter, last | {found[name]['first']:.0f}, {found[name]['last']:.0f}")
+    return _table(" | ", rows, "long-window")
 
 
 def _window() -> tuple[str, str]:
@@ -555,6 +581,7 @@ _MADE = (
     window,
     late_warp,
     remote,
+    long_window,
     stored,
     colmap,
 )
