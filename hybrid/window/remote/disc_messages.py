@@ -20,7 +20,7 @@ from hybrid.render.frame_settings import MOST_SPP
 from hybrid.render.image_files import image_of_jpeg, jpeg_bytes
 
 DISC_WANTED, DISC = 5, 6
-_WANTED = struct.Struct("<BddH")
+_WANTED = struct.Struct("<BddI")
 _DISC = struct.Struct("<BIiiHddf?fI")
 _NUMBERS = "sequence", "left", "top", "side", "fov_a", "fov_b", "spp", "final", "greatest"
 # Pixels of a disc's square: that of a radius of 15 % in a frame of 4K, and a fifth more.

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from compose.camera.camera import Camera
+from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.device_image import srgb_bytes
 from hybrid.base.compute_device import release_memory
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
-from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
+from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.remote.disc_messages import MOST_PIXELS, DiscMessage, DiscWanted, content_of
 from hybrid.window.remote.protocol import ViewMessage
 from hybrid.window.window_views import nearness
@@ -32,6 +34,15 @@ _LEAST_RADIUS = 2.0
 _MOST_PATHS, _MOST_SECONDS = 1 << 19, 0.15
 
 
+@dataclass(frozen=True)
+class _Traced:
+    """What a disc was traced for, where it lies, and the frame of the square around it."""
+
+    asked: tuple[Camera, Gaze, Display, DiscWanted]
+    where: DiscMessage
+    frame: Frame
+
+
 class DiscServer:
     """Traces the disc of one client's views.
 
@@ -46,8 +57,7 @@ class DiscServer:
         self._seed, self._released = 0, time.monotonic()
         # Seconds per path; 0 before the first disc.
         self._pace = 0.0
-        # What the last frame was made for.
-        self._last: tuple[FrameSettings, Frame] | None = None
+        self._last: _Traced | None = None
 
     def forget(self) -> None:
         """Begins with another client."""
@@ -59,22 +69,53 @@ class DiscServer:
 
         If others wait for the thread, it is no larger than what is traced in a seventh of a second.
         """
-        most = _MOST_PATHS
-        if others_wait and self._pace:
-            most = min(most, max(1, int(_MOST_SECONDS / self._pace)))
-        radius, spp = _affordable(wanted, view.camera.height, most)
-        begin = time.monotonic()
-        side = 2 * math.ceil(radius) + 2
-        x, y = view.gaze.pixel(view.camera.width, view.camera.height)
-        left, top = math.floor(x) - side // 2, math.floor(y) - side // 2
-        is_beside = (
-            left + side <= 0 or top + side <= 0 or left >= view.camera.width or top >= view.camera.height
+        if time.monotonic() - self._released > _RELEASE_EVERY:
+            # What discs of other sizes needed.
+            release_memory()
+            self._released = time.monotonic()
+        asked, begin = (view.camera, view.gaze, view.display, wanted), time.monotonic()
+        self._seed += 1
+        if self._last is not None and self._last.asked == asked:
+            last = self._last
+            spp = last.frame.settings.spp if others_wait else max(_MORE, last.frame.settings.spp)
+            frame = self._renderer.refined(last.frame, spp, self._seed, quick=False)
+            self._last = replace(last, frame=frame)
+        else:
+            most = _MOST_PATHS
+            if others_wait and self._pace:
+                # Powers of two: frames of ever new sizes take longer.
+                most = min(most, 1 << int(math.log2(max(1.0, _MOST_SECONDS / self._pace))))
+            self._last = self._traced(view, wanted, most)
+            if self._last is None:
+                return DiscMessage(view.sequence)
+            spp = self._last.frame.settings.spp
+        where, frame = self._last.where, self._last.frame
+        samples = frame.fovea.samples.mean_count()
+        # Without the blend, which is made with the client's own splats.
+        image = frame.image.packed().changed(frame.fovea.disc.pixels, frame.fovea.radiance)
+        pixels = srgb_bytes(image.arrays, image.values, (where.side, where.side, 3))
+        near = np.asarray(nearness(frame.camera, self._renderer.tracer))
+        # The first ones compile kernels; what was once possible is forgotten slowly.
+        took = (time.monotonic() - begin) / (frame.region.count * spp)
+        self._pace = min(took, _SLOWER * self._pace) if self._pace else took
+        where = replace(where, sequence=view.sequence, spp=samples, final=samples >= _ENOUGH)
+        return replace(where, **content_of(pixels, near, where.final))
+
+    def _traced(self, view: ViewMessage, wanted: DiscWanted, most: int) -> _Traced | None:
+        """A disc of so many paths at most; None if there is none to see."""
+        camera = view.camera
+        radius = min(
+            wanted.fov_a / 100 * camera.height, math.sqrt(MOST_PIXELS) / 2 - 2, math.sqrt(most / math.pi)
         )
-        if radius < _LEAST_RADIUS or is_beside:
-            return DiscMessage(view.sequence)
+        spp = max(1, min(wanted.spp, int(most / (math.pi * max(1.0, radius) ** 2))))
+        side = 2 * math.ceil(radius) + 2
+        x, y = view.gaze.pixel(camera.width, camera.height)
+        left, top = math.floor(x) - side // 2, math.floor(y) - side // 2
+        shows = -side < left < camera.width and -side < top < camera.height
+        if radius < _LEAST_RADIUS or not shows:
+            return None
+        share, outer = wanted.fov_b / wanted.fov_a, 100 * radius / side
         # Nothing else of the frame is rendered.
-        square = view.camera.cropped(left, top, side, side)
-        outer, share = 100 * radius / side, wanted.fov_b / wanted.fov_a
         settings = replace(
             self._settings,
             gaze=Gaze((x - left) / side, (y - top) / side),
@@ -82,33 +123,9 @@ class DiscServer:
             fov_b=share * outer,
             spp=spp,
             display=view.display,
-            camera=square,
+            camera=camera.cropped(left, top, side, side),
         )
-        self._seed += 1
-        if time.monotonic() - self._released > _RELEASE_EVERY:
-            # What discs of other sizes needed.
-            release_memory()
-            self._released = time.monotonic()
-        if self._last is not None and settings == self._last[0]:
-            spp = spp if others_wait else max(_MORE, spp)
-            frame = self._renderer.refined(self._last[1], spp, self._seed, quick=False)
-        else:
-            frame = self._renderer.frame(settings, self._seed)
-        self._last = settings, frame
-        samples = frame.fovea.samples.mean_count()
-        fov_a, final = 100 * radius / view.camera.height, samples >= _ENOUGH
-        # Without the blend, which is made with the client's own splats.
-        image = frame.image.packed().changed(frame.fovea.disc.pixels, frame.fovea.radiance)
-        pixels = srgb_bytes(image.arrays, image.values, (side, side, 3))
-        near = np.asarray(nearness(square, self._renderer.tracer))
-        # The first ones compile kernels; what was once possible is forgotten slowly.
-        took = (time.monotonic() - begin) / max(1, frame.region.count * spp)
-        self._pace = min(took, _SLOWER * self._pace) if self._pace else took
-        where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a, samples, final)
-        return replace(where, **content_of(pixels, near, final))
-
-
-def _affordable(wanted: DiscWanted, height: int, most: int) -> tuple[float, int]:
-    """Radius in pixels and samples per pixel of a disc of so many paths at most."""
-    radius = min(wanted.fov_a / 100 * height, math.sqrt(MOST_PIXELS) / 2 - 2, math.sqrt(most / math.pi))
-    return radius, max(1, min(wanted.spp, int(most / (math.pi * max(1.0, radius) ** 2))))
+        fov_a = 100 * radius / camera.height
+        where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a)
+        asked = camera, view.gaze, view.display, wanted
+        return _Traced(asked, where, self._renderer.frame(settings, self._seed))
