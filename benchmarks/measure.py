@@ -71,7 +71,6 @@ MEASUREMENTS = {
     "gaze": f"hybrid bench gaze room {_FRAMES} --size 960 540 --latency 50 --gaze-error 0 --fps 72 "
     "--seconds 0.5 --clips 3",
     "studies": "python -m benchmarks.studies VISION",
-    "long-window": f"python -m benchmarks.long_window room VISION {_FRAMES}",
 }
 
 

@@ -489,18 +489,6 @@ def _fused() -> tuple[str, str]:
     return what, ", ".join(gains)
 
 
-def long_window() -> str:
-    """Memory and times of the window in a browser over hours."""
-    found = result("long-window")
-    rows = [f"hours, frames | {found['hours']:.1f}, {found['frames']:,}"]
-    for name, title in (("window_mib", "memory of the command, MiB"), ("browser_mib", "of the browser, MiB")):
-        form = "{first:.0f}, {last:.0f}, {most:.0f}; {per_hour:+.1f}"
-        rows.append(f"{title}: first quarter, last, most; growth per hour | {form.format(**found[name])}")
-    for name, title in (("frame_ms", "ms per frame"), ("latency_ms", "ms from mouse to screen")):
-        rows.append(f"{title}: first quarter, last | {found[name]['first']:.0f}, {found[name]['last']:.0f}")
-    return _table(" | ", rows, "long-window")
-
-
 def _window() -> tuple[str, str]:
     medians = result("window")["medians"]
     form = "{fps:.0f} frames per second, {latency_ms:.0f} ms from mouse to screen"
@@ -581,7 +569,6 @@ _MADE = (
     window,
     late_warp,
     remote,
-    long_window,
     stored,
     colmap,
 )

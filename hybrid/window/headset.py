@@ -1,8 +1,8 @@
 """The scene in a headset: what both eyes see as the head moves, with the disc where the viewer looks.
 
 Whatever tells the poses of the eyes and shows their images is a `Headset`; its axes are those of OpenXR: x to
-the right, y up, -z ahead, in metres. The room in which the head moves begins at the scene's own camera, and a
-metre is a unit of the scene.
+the right, y up, -z ahead, in metres. The room in which the head moves is level, begins at the scene's own
+camera, and has a metre to a unit of the scene.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.camera.camera import Array, Camera, camera_from_pose
+from compose.camera.camera import Array, Camera, camera_from_pose, look_at
 from compose.eye.display import Display
 from compose.eye.gaze import FURTHEST, Gaze
 from hybrid.render.frame_renderer import LiveRenderer
@@ -24,6 +24,7 @@ from hybrid.window.controls import Playback
 from hybrid.window.frame_source import SceneSource
 from hybrid.window.messages import Request
 from hybrid.window.meter import Meter
+from pathtrace.region.view_selection import upright
 
 # From OpenXR's axes to those of cameras, and back.
 _AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -74,6 +75,14 @@ class Headset(Protocol):
         """The frames that it wants, until it is taken off for good."""
 
 
+def levelled(camera: Camera) -> Camera:
+    """A camera at the same place that looks the same way, but level."""
+    up, pose = upright(camera), camera.camera_to_world
+    # Never along it: what is up is nearest to the camera's own.
+    ahead = pose[:3, 2] - up * (pose[:3, 2] @ up)
+    return camera.at(look_at(pose[:3, 3], pose[:3, 3] + ahead, up))
+
+
 def gaze_in(camera: Camera, home: Camera, eye: Eye, gaze: Array | None) -> Gaze:
     """Where a viewer looks in the frame of an eye: in the direction of a gaze, or straight ahead."""
     direction = -(eye.pose if gaze is None else gaze)[:3, 2]
@@ -113,7 +122,7 @@ def show_in_headset(
         seconds: after the first frame.
     """
     meter = Meter(keeps_all=seconds is not None)
-    eyes, home, end = [source, _beside(source)], source.camera, None
+    eyes, home, end = [source, _beside(source)], levelled(source.camera), None
     size = 0, height
     for frame in headset.frames():
         if source.renew(_nobody):
@@ -123,10 +132,8 @@ def show_in_headset(
         images, passes = [], dict[str, float]()
         for eye, own in zip(frame.eyes, eyes, strict=True):
             camera = eye.camera(home, height)
-            gaze, display = (
-                gaze_in(camera, home, eye, frame.gaze),
-                display_of(camera, settings.display.luminance),
-            )
+            gaze = gaze_in(camera, home, eye, frame.gaze)
+            display = display_of(camera, settings.display.luminance)
             asked = replace(settings, gaze=gaze, camera=camera, display=display, time=moment)
             shown = own.show(Request(asked), quick=True)
             images.append(shown.image)

@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera
+from compose.camera.camera import Camera, turned
 from compose.image.colour import radiance_from_srgb
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.controls import Playback
 from hybrid.window.frame_source import SceneSource
-from hybrid.window.headset import Eye, HeadsetFrame, display_of, gaze_in, show_in_headset
+from hybrid.window.headset import Eye, HeadsetFrame, display_of, gaze_in, levelled, show_in_headset
 from hybrid.window.messages import Request
 from tests.hybrid.command import run
 
@@ -86,6 +86,15 @@ def test_the_room_begins_at_the_scenes_camera(home):
     np.testing.assert_allclose(up.camera_to_world[:3, 2], -down, atol=1e-12)
 
 
+@pytest.mark.parametrize("pitch", [-40, 0, 40])
+def test_the_room_is_level(home, pitch):
+    pose = home.camera_to_world
+    pose[:3, :3] = turned(pose[:3, :3], 0, pitch)
+    found = levelled(home.at(pose))
+    np.testing.assert_allclose(found.position, home.position)
+    np.testing.assert_allclose(found.camera_to_world[:3, :3], home.camera_to_world[:3, :3], atol=1e-9)
+
+
 def test_views_end_where_the_headset_says(home):
     eye = Eye(np.eye(4), -1.2, 0.8, -0.9, 1.1)
     camera = eye.camera(home, 100)
@@ -129,7 +138,7 @@ class TestSession:
         assert len(meter.intervals) == 1
         for eyes, images in zip(SESSION, headset.shown, strict=True):
             for numbers, image in zip(eyes, images, strict=True):
-                camera = eye_of(numbers).camera(source.camera, 48)
+                camera = eye_of(numbers).camera(levelled(source.camera), 48)
                 alone = SceneSource(source.renderer)
                 alone.forget()
                 display = display_of(camera, INTERACTIVE.display.luminance)
