@@ -26,10 +26,11 @@ _NUMBERS = "sequence", "left", "top", "side", "fov_a", "fov_b", "spp", "final", 
 # Pixels of a disc's square: that of a radius of 15 % in a frame of 4K, and a fifth more.
 MOST_PIXELS = 1 << 19
 # Of JPEG, while the view changes and when the disc has its last samples: at 85 it would be 2 dB worse than
-# what was rendered (`room`, single samples). Colour keeps its resolution: where
-# people look, they resolve nearly as much of it as of luminance (89 of 94 pixels per degree, red and green;
-# Ashraf et al. 2025).
+# what was rendered (`room`, single samples). Colour keeps its resolution: where people look, they resolve
+# nearly as much of it as of luminance (89 of 94 pixels per degree, red and green; Ashraf et al. 2025).
 _QUALITY, _FINAL_QUALITY = 95, 98
+# Pixels by which a square may lie beside the frame's origin, and inverse depth of the nearest things.
+_FURTHEST, _NEAREST = 1 << 24, 1e6
 # Steps of inverse depths, of which the greatest is given as it is.
 _STEPS = 255
 
@@ -103,7 +104,8 @@ class DiscMessage:
         if found.side**2 > MOST_PIXELS:
             raise ValueError(f"a disc in {found.side} x {found.side} pixels; at most {MOST_PIXELS} are taken")
         _require_radii(found.fov_a, found.fov_b)
-        if not (0 <= found.spp < np.inf and 0 <= found.greatest < np.inf):
+        is_near = max(abs(found.left), abs(found.top)) <= _FURTHEST
+        if not (is_near and 0 <= found.spp < np.inf and 0 <= found.greatest <= _NEAREST):
             raise ValueError("a disc with numbers out of range")
         return found
 

@@ -271,6 +271,9 @@ class TestMessages:
             ({"fov_a": float("inf")}, "fov-a"),
             ({"spp": float("nan")}, "out of range"),
             ({"greatest": -1.0}, "out of range"),
+            ({"greatest": 1e30}, "out of range"),
+            ({"left": -(1 << 31)}, "out of range"),
+            ({"top": 1 << 25}, "out of range"),
             ({"depths": b"junk"}, "inflated"),
             ({"depths": zlib.compress(bytes(3))}, "3 depths"),
             ({"side": 8}, "depths|picture"),
@@ -283,6 +286,25 @@ class TestMessages:
         with pytest.raises(ValueError, match=said) as caught:
             StreamedDisc.of(DiscMessage.unpacked(message.packed()), camera, Gaze())
         assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"left": 1 << 24},
+            {"top": -(1 << 24)},
+            {"greatest": 1e6},
+            {"fov_a": 1e300},
+            {"fov_a": 0.0, "fov_b": 0.0},
+        ],
+    )
+    def test_what_is_read_can_be_shown(self, forest, camera, change):
+        """However little sense it makes."""
+        message = replace(streamed(camera, Gaze(), 2.0).message, **change)
+        disc = StreamedDisc.of(DiscMessage.unpacked(message.packed()), camera, Gaze())
+        renderer = SplatRenderer(forest)
+        for now in (camera, camera.moved_right(0.3), camera.moved_right(1e6)):
+            frame = with_disc(renderer.frame(FrameSettings(camera=now)), disc)
+            assert np.isfinite(frame.composite).all()
 
     def test_a_damaged_picture_is_refused_or_shown(self, camera):
         message = streamed(camera, Gaze(), 2.0).message
