@@ -9,7 +9,6 @@ again. Chromium must be installed, with its driver and selenium.
 from __future__ import annotations
 
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -92,7 +91,7 @@ def watched(words: list[str], vision: Path, seconds: float) -> list[dict[str, fl
                 print(row, file=sys.stderr, flush=True)
                 if row["seconds"] >= 0:
                     rows.append(row)
-            demo.send_signal(signal.SIGINT)
+            demo.terminate()
     return rows
 
 
