@@ -30,7 +30,7 @@ from benchmarks.slow_network import ADDRESSES, DELAY, LOSS, RATE, SPACES, inside
 from compose.base.files import json_text
 from compose.eye.gaze import Gaze, simulated
 from compose.image.colour import Image, decibels, srgb_from_radiance
-from hybrid.base.progress import bars_of
+from hybrid.base.progress import no_bars, no_progress
 from hybrid.preparation.preparation import with_forest
 from hybrid.preparation.scene_plan import as_stored
 from hybrid.render.frame_renderer import LiveRenderer
@@ -283,19 +283,15 @@ def watched(options: argparse.Namespace) -> dict[str, Any]:
     """What a client sees, with a disc or without."""
     select_backend("llvm")
     remote = Remote(Server(f"ws://{ADDRESSES[0]}:{_PORT}", (options.walk / "token").read_text()))
-    remote.wait(_silent)
+    remote.wait(no_progress)
     if not options.discs:
         found = walk(remote, options.seconds)
         remote.close()
         return found
     remote.want(DiscWanted(INTERACTIVE.fov_a, INTERACTIVE.fov_b, INTERACTIVE.spp))
     found = walk(remote, options.seconds)
-    loaded, forest = with_forest(as_stored(load_scene(options.scene)), options.forest, bars_of(_silent))
+    loaded, forest = with_forest(as_stored(load_scene(options.scene)), options.forest, no_bars)
     return found | jumps(remote, loaded, forest)
-
-
-def _silent(done: int, total: int, label: str) -> None:
-    pass
 
 
 if __name__ == "__main__":

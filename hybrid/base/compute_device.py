@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import time
+from collections.abc import Mapping
 
 import drjit as dr
 import mitsuba as mi
@@ -36,17 +37,38 @@ class PassClock:
             dr.sync_thread()
         self._note(name)
 
-    def milliseconds(self) -> dict[str, float]:
-        """Milliseconds of each pass, and of all passes together ("total"), when all have finished."""
+    def milliseconds(self, before: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Milliseconds of each pass, and of all passes together ("total"), when all have finished.
+
+        Those of passes `before`, which another clock has measured, are part of them.
+        """
         if not self._waits:
             dr.sync_thread()
             self._note("device")
-        return {**self._laps, "total": (self._last - self._start) * 1000}
+        earlier = {} if before is None else dict(before)
+        total = earlier.pop("total", 0.0) + (self._last - self._start) * 1000
+        return {**earlier, **self._laps, "total": total}
 
     def _note(self, name: str) -> None:
         now = time.perf_counter()
         self._laps[name] = (now - self._last) * 1000
         self._last = now
+
+
+class SpareMemory:
+    """Releases what frames of other sizes and kinds needed, now and then."""
+
+    # Seconds between two releases, each of which takes three to six milliseconds.
+    _EVERY = 2.0
+
+    def __init__(self) -> None:
+        self._released = time.monotonic()
+
+    def release(self) -> None:
+        """Releases it, unless that was done a moment ago."""
+        if time.monotonic() - self._released > self._EVERY:
+            release_memory()
+            self._released = time.monotonic()
 
 
 def release_memory() -> None:

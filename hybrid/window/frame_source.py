@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,7 +12,7 @@ import numpy as np
 
 from compose.camera.camera import Camera
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.compute_device import PassClock, release_memory
+from hybrid.base.compute_device import PassClock, SpareMemory
 from hybrid.base.progress import Progress, bars_of
 from hybrid.preparation.preparation import prepare, with_forest
 from hybrid.preparation.scene_plan import as_stored, with_plan_of
@@ -41,8 +40,6 @@ _PATIENT_STEPS = 8
 _ENOUGH = 4096
 # In the folder of a scene that has changed: the forest of before, in the light of now.
 _AS_CHANGED = "as-changed.safetensors"
-# Seconds between two releases of unused memory, each of which takes three to six milliseconds.
-_RELEASE_EVERY = 2.0
 
 
 class FrameSource(Protocol):
@@ -87,7 +84,7 @@ class SceneSource:
         self._last: ShownFrame | None = None
         self._converging: ConvergingFrame | None = None
         self._seed = 0
-        self._released = time.monotonic()
+        self._memory = SpareMemory()
 
     @property
     def camera(self) -> Camera:
@@ -111,15 +108,11 @@ class SceneSource:
             # The forest may just have replaced another one.
             layers = min(layers[0], self.layers), self.layers
             request = replace(request, settings=replace(request.settings, layers=layers))
-        # What frames of another size or kind needed.
-        if time.monotonic() - self._released > _RELEASE_EVERY:
-            release_memory()
-            self._released = time.monotonic()
+        self._memory.release()
         last = self._last if self._last and request.same_frame(self._last.request) else None
         frame, paths = self._rendered(request, last.frame if last else None, quick)
         # A frame that is only shown again has taken no time.
-        passes = {} if last and frame is last.frame else dict(frame.milliseconds)
-        before = passes.pop("total", 0.0)
+        before = {} if last and frame is last.frame else frame.milliseconds
         clock = PassClock()
         path_traced, more_paths = None, 0
         if request.view.needs_path_traced:
@@ -127,14 +120,12 @@ class SceneSource:
             clock.lap("reference")
         image = image_of(request.view, frame, path_traced)
         clock.lap("picture")
-        rest = clock.milliseconds()
-        rest["total"] += before
         self._last = ShownFrame(
             image,
             request,
             frame,
             paths + more_paths,
-            passes | rest,
+            clock.milliseconds(before),
             path_traced.samples if path_traced else 0,
             paths == 0 and (path_traced is None or path_traced.complete),
         )

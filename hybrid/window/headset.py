@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Array, Camera, camera_from_pose, look_at
 from compose.eye.display import Display
 from compose.eye.gaze import FURTHEST, Gaze
+from hybrid.base.progress import no_progress
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.controls import Playback
@@ -125,7 +126,7 @@ def show_in_headset(
     eyes, home, end = [source, _beside(source)], levelled(source.camera), None
     size = 0, height
     for frame in headset.frames():
-        if source.renew(_nobody):
+        if source.renew(no_progress):
             eyes[1] = _beside(source)
         at = time.perf_counter()
         moment = 0.0 if playback is None else playback.at(at)
@@ -154,7 +155,3 @@ def _beside(source: SceneSource) -> SceneSource:
     """Frames of the same scene and forest, with a history of their own."""
     renderer = source.renderer
     return SceneSource(LiveRenderer(renderer.scene, renderer.periphery.forest))
-
-
-def _nobody(done: int, total: int, label: str) -> None:
-    """Hears of progress."""

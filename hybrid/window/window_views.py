@@ -147,8 +147,7 @@ def late_warped(shown: ShownFrame, newest: Camera, near: Callable[[Camera], Floa
 
     `near` gives the inverse depth of what a camera sees in each cell of its `grid`, for `warped`; it is asked
     for only if the newest camera has not just turned. The frame is returned as it is if that camera is its
-    own. The disc stays where it was traced. The time taken is
-    that of a pass, "warp".
+    own. The disc stays where it was traced. The time taken is that of a pass, "warp".
     """
     if newest == shown.request.settings.camera:
         return shown
@@ -165,9 +164,7 @@ def late_warped(shown: ShownFrame, newest: Camera, near: Callable[[Camera], Floa
     flat = warped(image, depths, camera, newest).values
     pixels = np.asarray(plain.UInt8(flat + 0.5)).reshape(shown.image.shape)
     clock.lap("warp")
-    passes, took = dict(shown.milliseconds), clock.milliseconds()
-    took["total"] += passes.pop("total", 0.0)
-    return replace(shown, image=pixels, milliseconds=passes | took)
+    return replace(shown, image=pixels, milliseconds=clock.milliseconds(shown.milliseconds))
 
 
 def nearness(camera: Camera, tracer: Tracer) -> Float:

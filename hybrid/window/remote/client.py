@@ -14,7 +14,6 @@ import time
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
@@ -38,6 +37,7 @@ from hybrid.window.remote.protocol import (
     MOST_FROM_SERVER,
     SUBPROTOCOL,
     MaskMessage,
+    View,
     ViewMessage,
     Welcome,
     decoded_mask,
@@ -59,8 +59,6 @@ _MOST_VIEWS = 512
 # Share of the views that the server takes, so that it never gets more of them.
 _PACE = 0.9
 _POLL = 0.1
-# What a viewer sees, where they look, and on what.
-View: TypeAlias = tuple[Camera, Gaze, Display]
 
 
 @dataclass(frozen=True)
@@ -306,11 +304,10 @@ class _Received:
         has_missed: whether there was one that could not be taken since the last view was sent.
     """
 
-    has_missed = False
-
     def __init__(self, inner: int):
         self._masks = {0: np.zeros(inner, np.bool_)}
         self.held = self.sequence = 0
+        self.has_missed = False
 
     def take(self, message: MaskMessage) -> Cut | None:
         """The cut of a message; None if it is not newer, or against a mask that is not here.

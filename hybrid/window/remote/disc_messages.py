@@ -6,6 +6,7 @@ import struct
 import time
 import zlib
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.fovea.warping import grid
+from compose.image.colour import radiance_from_srgb
 from hybrid.render.frame_settings import MOST_SPP
 from hybrid.render.image_files import image_of_jpeg, jpeg_bytes
 
@@ -33,6 +35,8 @@ _QUALITY, _FINAL_QUALITY = 95, 98
 _FURTHEST, _NEAREST = 1 << 24, 1e6
 # Steps of inverse depths, of which the greatest is given as it is.
 _STEPS = 255
+# Linear radiance of sRGB bytes.
+_LINEAR = radiance_from_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -141,6 +145,11 @@ class StreamedDisc:
     image: NDArray[np.uint8]
     nearness: NDArray[np.float32]
     came: float = field(default_factory=time.monotonic)
+
+    @cached_property
+    def radiance(self) -> NDArray[np.float32]:
+        """(side, side, 3) the image in linear radiance."""
+        return _LINEAR[self.image]
 
     @property
     def square(self) -> Camera:

@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from compose.camera.camera import Camera
-from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.device_image import srgb_bytes
-from hybrid.base.compute_device import release_memory
+from hybrid.base.compute_device import SpareMemory
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.remote.disc_messages import MOST_PIXELS, DiscMessage, DiscWanted, content_of
-from hybrid.window.remote.protocol import ViewMessage
+from hybrid.window.remote.protocol import View, ViewMessage
 from hybrid.window.window_views import nearness
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
@@ -26,8 +24,6 @@ from splat.model.forest import Forest
 _MORE, _ENOUGH = 4, 64
 # Growth of the time per path from one disc to the next, if it has grown.
 _SLOWER = 1.1
-# Seconds between two releases of unused memory, each of which takes milliseconds.
-_RELEASE_EVERY = 2.0
 # Pixels: a smaller disc has none.
 _LEAST_RADIUS = 2.0
 # Paths of one disc; and seconds that one may take for which others wait.
@@ -38,7 +34,7 @@ _MOST_PATHS, _MOST_SECONDS = 1 << 19, 0.15
 class _Traced:
     """What a disc was traced for, where it lies, and the frame of the square around it."""
 
-    asked: tuple[Camera, Gaze, Display, DiscWanted]
+    asked: tuple[View, DiscWanted]
     where: DiscMessage
     frame: Frame
 
@@ -54,7 +50,7 @@ class DiscServer:
     def __init__(self, scene: Scene, forest: Forest, acuity_model: str):
         self._renderer = LiveRenderer(scene, forest)
         self._settings = replace(INTERACTIVE, acuity_model=acuity_model)
-        self._seed, self._released = 0, time.monotonic()
+        self._seed, self._memory = 0, SpareMemory()
         # Seconds per path; 0 before the first disc.
         self._pace = 0.0
         self._last: _Traced | None = None
@@ -69,13 +65,10 @@ class DiscServer:
 
         If others wait for the thread, it is no larger than what is traced in a seventh of a second.
         """
-        if time.monotonic() - self._released > _RELEASE_EVERY:
-            # What discs of other sizes needed.
-            release_memory()
-            self._released = time.monotonic()
-        asked, begin = (view.camera, view.gaze, view.display, wanted), time.monotonic()
+        self._memory.release()
+        begin = time.monotonic()
         self._seed += 1
-        if self._last is not None and self._last.asked == asked:
+        if self._last is not None and self._last.asked == (view.view, wanted):
             last = self._last
             spp = last.frame.settings.spp if others_wait else max(_MORE, last.frame.settings.spp)
             frame = self._renderer.refined(last.frame, spp, self._seed, quick=False)
@@ -127,5 +120,4 @@ class DiscServer:
         )
         fov_a = 100 * radius / camera.height
         where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a)
-        asked = camera, view.gaze, view.display, wanted
-        return _Traced(asked, where, self._renderer.frame(settings, self._seed))
+        return _Traced((view.view, wanted), where, self._renderer.frame(settings, self._seed))

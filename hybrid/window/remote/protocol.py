@@ -9,7 +9,7 @@ import json
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import MOST_LEVEL
 from splat.model.points import Bits, Ints
 
+# What a viewer sees, where they look, and on what.
+View: TypeAlias = tuple[Camera, Gaze, Display]
 VERSION = 2
 # Of WebSockets: another version is refused before anything is sent.
 SUBPROTOCOL = f"hybrid-remote-{VERSION}"
@@ -54,6 +56,11 @@ class ViewMessage:
     camera: Camera
     gaze: Gaze
     display: Display
+
+    @property
+    def view(self) -> View:
+        """What is seen: camera, gaze and display."""
+        return self.camera, self.gaze, self.display
 
     def packed(self) -> bytes:
         """The message."""

@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +50,7 @@ from hybrid.window.remote.protocol import (
     SUBPROTOCOL,
     VIEW,
     MaskMessage,
+    View,
     ViewMessage,
     Welcome,
     encoded_mask,
@@ -105,8 +105,6 @@ class Listening:
     tls: ssl.SSLContext | None = None
 
 
-# What a disc is traced for.
-_Asked: TypeAlias = tuple[ViewMessage, DiscWanted]
 _FACTS = "connections", "clients", "faults", "views", "masks", "mask_bytes", "discs", "disc_bytes"
 # Cut-offs do not depend on what layers there are.
 _LAYERS = LayerRange(1.0, (0,))
@@ -332,7 +330,7 @@ class ViewServer:
             if client.disc is not None:
                 message = await on_worker(client.disc.message, *asked, len(self._clients) > 1)
             packed = message.packed()
-            client.disc_sent(asked, message.final)
+            client.disc_sent(*asked, message.final)
             self.facts["discs"] += 1
             self.facts["disc_bytes"] += len(packed)
             await client.send(packed)
@@ -382,7 +380,7 @@ class _Client:
         self._disc_news = asyncio.Event()
         # The newest view, what the last disc was for, and whether that was final.
         self._newest: ViewMessage | None = None
-        self._disc_for: _Asked | None = None
+        self._disc_for: tuple[View, DiscWanted] | None = None
         self._disc_is_final = False
         # When discs were sent that may not have come yet, and after which mask.
         self._discs_sent: deque[tuple[float, int]] = deque()
@@ -420,14 +418,15 @@ class _Client:
         self._wanted = disc
         self._disc_news.set()
 
-    async def next_disc(self) -> _Asked:
+    async def next_disc(self) -> tuple[ViewMessage, DiscWanted]:
         """What to trace next, once there is something and not too many discs are on their way."""
         while True:
             self._disc_news.clear()
             waiting = None
             if self._newest is not None and self._wanted is not None:
                 asked = self._newest, self._wanted
-                stays = self._disc_for is not None and _shows_the_same(asked, self._disc_for)
+                # The same view may have been sent again.
+                stays = (self._newest.view, self._wanted) == self._disc_for
                 if not (stays and self._disc_is_final):
                     if self._on_their_way() <= (1 if stays else _DISCS):
                         return asked
@@ -442,9 +441,9 @@ class _Client:
             sent.popleft()
         return len(sent)
 
-    def disc_sent(self, asked: _Asked, final: bool) -> None:
+    def disc_sent(self, view: ViewMessage, wanted: DiscWanted, final: bool) -> None:
         """Notes a disc that is about to be sent."""
-        self._disc_for, self._disc_is_final = asked, final
+        self._disc_for, self._disc_is_final = (view.view, wanted), final
         self._discs_sent.append((time.monotonic(), self._number))
 
     def base(self) -> tuple[int, Bits | None]:
@@ -463,13 +462,6 @@ class _Client:
     async def send(self, message: str | bytes) -> None:
         """Sends a message once there is room for it; TimeoutError if there is none for long."""
         await asyncio.wait_for(self.connection.send(message), self._patience)
-
-
-def _shows_the_same(asked: _Asked, before: _Asked) -> bool:
-    """Whether two discs are for the same view, which may have been sent again."""
-    (view, wanted), (old, old_wanted) = asked, before
-    same_view = (view.camera, view.gaze, view.display) == (old.camera, old.gaze, old.display)
-    return same_view and wanted == old_wanted
 
 
 class _Connection(ServerConnection):

@@ -16,7 +16,6 @@ from compose.fovea.disc import Disc, blend
 from compose.fovea.foveation import Foveation
 from compose.fovea.samples import Samples
 from compose.fovea.warping import grid, warped
-from compose.image.colour import radiance_from_srgb
 from compose.image.device_image import DeviceImage
 from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame import Frame
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 
 # What is nearer to the camera's plane, at a distance of 1 along the line of sight, is beside or behind it.
 _LEAST_DEPTH = 1e-3
-# Linear radiance of sRGB bytes.
-_LINEAR = radiance_from_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 def with_disc(frame: Frame, disc: StreamedDisc) -> Frame:
@@ -90,7 +87,7 @@ def _placed(
         warped(
             DeviceImage(arrays, uploaded(plain.Float, values), side, side, side), near, disc.square, newest
         )
-        for values in (_LINEAR[disc.image], np.repeat(_known(side)[..., None], 3, axis=2))
+        for values in (disc.radiance, np.repeat(_known(side)[..., None], 3, axis=2))
     )
     row, column = arrays.rows_columns(found.pixels, found.width)
     first_row, first_column, last = arrays.scalars(plain.Int, [top, left, side - 1])

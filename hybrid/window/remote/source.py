@@ -83,9 +83,7 @@ class RemoteSource:
             clock = PassClock()
             frame = with_disc(frame, self._disc)
             clock.lap("disc")
-            passes, more = dict(frame.milliseconds), clock.milliseconds()
-            more["total"] += passes.pop("total")
-            frame = replace(frame, milliseconds=passes | more)
+            frame = replace(frame, milliseconds=clock.milliseconds(frame.milliseconds))
         # There is no path-traced frame.
         view = ShownView.COMPOSITE if request.view.needs_path_traced else request.view
         image = image_of(view, frame, None)

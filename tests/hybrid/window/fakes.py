@@ -1,4 +1,4 @@
-"""Frames without a renderer."""
+"""Frames without a renderer, and views beside others."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera
+from compose.camera.camera import Camera, turned
 from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.base.progress import Progress
 from hybrid.render.frame_settings import INTERACTIVE
@@ -21,6 +21,14 @@ from hybrid.window.viewer import Viewer, WindowOptions
 
 CAMERA = Camera(np.eye(4), 320, 240, 250.0, 250.0, 160.0, 120.0)
 REQUEST = Request(replace(INTERACTIVE, camera=CAMERA, gaze=Gaze(0.5, 0.5), layers=(1, 3)))
+
+
+def moved(camera: Camera, right: float = 0.0, degrees: float = 0.0) -> Camera:
+    """A camera beside another one, turned to the right."""
+    pose = camera.camera_to_world
+    pose[:3, 3] += pose[:3, 0] * right
+    pose[:3, :3] = turned(pose[:3, :3], degrees, 0.0)
+    return camera.at(pose)
 
 
 def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: Any) -> ShownFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image as Pillow
 
 from compose.eye.gaze import Gaze
+from hybrid.base import compute_device
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import read_exr
 from hybrid.window import frame_source as source_module
@@ -215,9 +217,9 @@ def test_files_hold_what_is_shown(source, tmp_path):
 
 def test_unused_memory_is_released_every_two_seconds(source, monkeypatch):
     now, released = [1000.0], []
-    monkeypatch.setattr(source_module.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(source_module, "release_memory", lambda: released.append(now[0]))
-    monkeypatch.setattr(source, "_released", 1000.0)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(compute_device, "release_memory", lambda: released.append(now[0]))
+    monkeypatch.setattr(source, "_memory", compute_device.SpareMemory())
     asked = request(source, fov_a=0.0, fov_b=0.0)
     for now[0] in (1001.0, 1001.9, 1002.1, 1003.0, 1004.0, 1004.2):
         source.show(asked, True)

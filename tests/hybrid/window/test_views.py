@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from compose.camera.camera import Camera, turned
+from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.fovea.samples import Samples
@@ -24,6 +24,7 @@ from hybrid.window.messages import Request, ShownFrame, ShownView
 from hybrid.window.window_views import image_of, late_warped
 from tests import small
 from tests.compose.arrays_of import image_on
+from tests.hybrid.window.fakes import moved
 
 pytestmark = pytest.mark.usefixtures("backend")
 H, W = 24, 32
@@ -155,14 +156,6 @@ def shown_from(source: SceneSource, camera: Camera, **settings: Any) -> ShownFra
     """The splats of a view: without noise."""
     base = FrameSettings(gaze=Gaze(0.5, 0.5), fov_a=2.0, fov_b=1.0, spp=1, camera=camera, **settings)
     return source.show(Request(base, ShownView.PERIPHERY), True)
-
-
-def moved(camera: Camera, right: float = 0.0, degrees: float = 0.0) -> Camera:
-    """A camera beside another one, turned to the right."""
-    pose = camera.camera_to_world
-    pose[:3, 3] += pose[:3, 0] * right
-    pose[:3, :3] = turned(pose[:3, :3], degrees, 0.0)
-    return camera.at(pose)
 
 
 def decibels(one: ShownFrame, other: ShownFrame) -> float:

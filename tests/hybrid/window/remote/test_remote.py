@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from compose.camera.camera import turned
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import home
+from hybrid.base.progress import no_progress
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
 from hybrid.window.messages import Request, Server, ShownView
 from hybrid.window.remote.protocol import ViewMessage
 from hybrid.window.remote.server import ViewCuts, with_hierarchy
 from hybrid.window.remote.source import RemoteSource, prepared_remote
+from tests.hybrid.window.fakes import moved
 from tests.hybrid.window.remote.conftest import (
     ACUITY,
     TOKEN,
@@ -28,10 +29,6 @@ from tests.hybrid.window.remote.conftest import (
 )
 
 DISPLAY = DISPLAYS["desktop"]
-
-
-def no_progress(done: int, total: int, label: str) -> None:
-    pass
 
 
 def current(remote):
@@ -140,10 +137,7 @@ def test_the_picture_is_that_of_the_local_cut(serve, forest, camera):
 # Not both at once, the one against the other: only at one depth does nothing move then.
 @pytest.mark.parametrize(("right", "degrees"), [(0.05, 0.0), (0.0, 3.0)])
 def test_a_late_frame_comes_closer_to_what_is_seen_now(serve, camera, right, degrees):
-    pose = camera.camera_to_world
-    pose[:3, 3] += pose[:3, 0] * 4.0 * right
-    pose[:3, :3] = turned(pose[:3, :3], degrees, 0.0)
-    newest = camera.at(pose)
+    newest = moved(camera, 4.0 * right, degrees)
     with serve() as served:
         source = RemoteSource(served.link())
         late, expected = (
