@@ -115,6 +115,13 @@ class Camera:
         numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
         return np.array(numbers, dtype=np.float64).tobytes() + self.world_to_camera.tobytes()
 
+    @staticmethod
+    def of_key(key: bytes) -> Camera:
+        """The camera with a key; ValueError or OverflowError if there is none."""
+        numbers = np.frombuffer(key, dtype=np.float64)
+        pose = numbers[6:].reshape(4, 4).copy()
+        return Camera(pose, int(numbers[0]), int(numbers[1]), *numbers[2:6].tolist())
+
     def rays(self, pixels: Array) -> Array:
         """Unit directions (N, 3) in world space through pixel positions (N, 2)."""
         x, y = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy

@@ -169,20 +169,32 @@ class Journal(UserDict[str, Any]):
         except OSError as error:
             raise UserError(f"{self._path}: cannot be written ({error.strerror})") from error
 
-    def _stored(self) -> dict[str, Any]:
-        """The results in the file; empty if there is none."""
+    @staticmethod
+    def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Identity and results of a journal, whatever it belongs to; None if there is none.
+
+        UserError if the file is damaged.
+        """
         try:
             # Python writes infinities, such as the PSNR of equal images.
-            found = read_json(self._path, _MOST_BYTES, finite=False)
-            theirs, results = dict(found["identity"]), dict(found["results"])
+            found = read_json(path, _MOST_BYTES, finite=False)
+            identity, results = dict(found["identity"]), dict(found["results"])
             if found.pop(_CHECKSUM, None) not in (None, _checksum(found)):
                 raise ValueError("the checksum differs")
         except FileNotFoundError:
-            return {}
+            return None
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(
-                f"{self._path}: is damaged ({one_line(repr(error))}); delete it to start again"
+                f"{path}: is damaged ({one_line(repr(error))}); delete it to start again"
             ) from error
+        return identity, results
+
+    def _stored(self) -> dict[str, Any]:
+        """The results in the file; empty if there is none."""
+        found = self.read(self._path)
+        if found is None:
+            return {}
+        theirs, results = found
         what, advice = f"{self._path.parent}: holds results", "choose another folder"
         require_same(theirs, self._identity, what, advice)
         return results

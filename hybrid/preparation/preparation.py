@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import time
@@ -18,6 +19,7 @@ from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
 from hybrid.base.identity import Journal, require_scene, short_hash
 from hybrid.base.progress import Bars, no_bars
 from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES, breadth_of, planned_needs
+from hybrid.preparation.earlier_jobs import FRAMES, JOURNAL, TAKEN_OVER, earlier_job
 from hybrid.preparation.forest_errors import Judges, with_errors
 from hybrid.preparation.forest_training import planned_settings, train
 from hybrid.preparation.lighting import light_over_time
@@ -38,9 +40,9 @@ from hybrid.render.forest_attachments import attach_seconds, plan_of_forest, sce
 from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
-from pathtrace.dataset.growing import GrowingFrames
+from pathtrace.dataset.growing import GrowingFrames, StoredFrames
 from pathtrace.region import ViewingRegion, region_of
-from pathtrace.region.neighbourhood import view_time
+from pathtrace.region.neighbourhood import NearRegion, view_time
 from pathtrace.scene.optics import light_difficulties
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
@@ -62,8 +64,24 @@ class Prepared:
     facts: dict[str, Any]  # what `hybrid prepare --json` writes
 
 
-# In the folder of a job: what is done, the forest that it goes on from, if any, and one of each stage.
-_JOURNAL, _START, _STAGE = "job.json", "start.safetensors", "stage-{}.safetensors"
+@dataclass(frozen=True)
+class Beginning:
+    """What a preparation goes on from.
+
+    Attributes:
+        forest: whose finest layer to go on from.
+        job: folder of another preparation of the scene, or of the scene before it was changed, whose frames
+            are taken over: what has changed in them is traced anew. From nothing, if too much has.
+        place: near which further views are, in place of the region.
+    """
+
+    forest: Forest | None = None
+    job: Path | None = None
+    place: Camera | None = None
+
+
+# In the folder of a job: the forest that it goes on from, if any, and one of each stage.
+_START, _STAGE = "start.safetensors", "stage-{}.safetensors"
 
 
 @dataclass(frozen=True)
@@ -88,7 +106,7 @@ def prepare(
     bars: Bars = no_bars,
     folder: Path | None = None,
     started: float | None = None,
-    start: Forest | None = None,
+    beginning: Beginning = Beginning(),
     told: Callable[[Staged], object] | None = None,
 ) -> Prepared:
     """Prepares a scene; the forest becomes its newest one after every stage. Resumes if interrupted.
@@ -97,7 +115,7 @@ def prepare(
         settings: how far to go, and which views validate it; the defaults of PreparationSettings if None.
         folder: for everything that is written; a folder of the scene's in the cache by default.
         started: time.perf_counter() from which the time counts; now if None.
-        start: whose finest layer to go on from; that of the first run, if this one resumes it.
+        beginning: what to go on from; if this run resumes another one, that one's.
         told: called after every stage of this run.
 
     Raises:
@@ -110,22 +128,25 @@ def prepare(
     # As many samples as there is time for, where they help.
     scene = replace(scene, plan={name: value for name, value in scene.plan.items() if name != SAMPLES})
     surfaces = scene.surfaces()
-    region = region_of(scene, surfaces, settings.region)
+    place = beginning.place
+    region = (
+        region_of(scene, surfaces, settings.region) if place is None else NearRegion(scene, surfaces, place)
+    )
     planned = {"plan": dict(scene.plan)} if scene.plan else {}
-    identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings), **planned}
+    identity = {**asdict(settings), "scene": scene.hash, "region": region.identity(), **planned}
     kind = settings.quality if settings.quality in _FIRST_STORED else "prepared"
     folder = folder or scene_folder(scene.name, scene.hash) / f"{kind}-{short_hash(identity)}"
     folder.mkdir(parents=True, exist_ok=True)
-    if start is not None and not (folder / _JOURNAL).exists():
-        save_forest(folder / _START, start)
-    journal = Journal(folder / _JOURNAL, identity)
+    if beginning.forest is not None and not (folder / JOURNAL).exists():
+        save_forest(folder / _START, beginning.forest)
+    journal = Journal(folder / JOURNAL, identity)
     clock = JobClock(journal, started)
     with bars("region") as bar:
         bar(0, 1, "choosing views")
         breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
     planner = Planner(settings, journal, clock, planned_needs(scene.plan, settings.region, breadth))
     try:
-        return _Job(scene, region, settings, bars, folder, planner, told).run()
+        return _Job(scene, region, settings, bars, folder, planner, beginning, told).run()
     finally:
         # An interrupted job continues with the time that it took so far.
         clock.keep()
@@ -141,6 +162,7 @@ class _Job:
     bars: Bars
     folder: Path
     planner: Planner
+    beginning: Beginning
     told: Callable[[Staged], object] | None
     passes: list[Pass] = field(default_factory=list)
     curve: list[dict[str, Any]] = field(default_factory=list)
@@ -151,7 +173,8 @@ class _Job:
         tracer = Tracer(self.scene, cache=cache)
         # Of the training frames.
         bounded = tracer if most is None else Tracer(self.scene, cache=cache, most_indirect=most)
-        frames = GrowingFrames(self.folder / "frames", bounded, Integrator.CACHED.value, self.settings.seed)
+        frames = GrowingFrames(self.folder / FRAMES, bounded, Integrator.CACHED.value, self.settings.seed)
+        self._go_on(frames)
         judges, start = self._judges(tracer), self.folder / _START
         forest = load_forest(start) if start.is_file() else None
         while self.planner.begin(self.curve):
@@ -165,6 +188,27 @@ class _Job:
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
         self._conclude(facts)
         return Prepared(forest, facts)
+
+    def _go_on(self, frames: GrowingFrames) -> None:
+        """Takes over what another preparation has, if this one goes on from it."""
+
+        def taken() -> dict[str, Any] | None:
+            folder = self.beginning.job
+            before = None if folder is None else earlier_job(folder)
+            if before is None or not before.stages:
+                return None
+            try:
+                with self.bars("frames of before (views)") as bar:
+                    is_taken = frames.take_over(StoredFrames(before.folder / FRAMES), bar)
+            except UserError as error:
+                _LOG.warning("%s; begun anew", error)
+                return None
+            is_elsewhere = before.region != json.loads(json.dumps(self.region.identity()))
+            return {"stages": before.stages, "elsewhere": is_elsewhere} if is_taken else None
+
+        found = self.planner.journal.once(TAKEN_OVER, taken)
+        if found is not None:
+            self.planner.go_on([Stage(**stage) for stage in found["stages"]], found["elsewhere"])
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""
@@ -209,14 +253,13 @@ class _Job:
             spent = self.planner.clock.seconds()
             with self.planner.clock.stopped():
                 psnr = trained_psnr(frames, forest)
-            planned = max(number + 1, len(self.settings.stages))
-            self.told(Staged(path, number + 1, planned, spent, psnr))
+            self.told(Staged(path, number + 1, self.planner.planned, spent, psnr))
         return forest
 
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""
         stages, number = self.planner.stages, self.planner.number
-        views = self._views(stages)
+        views = self._views(stages, frames)
         if self.planner.is_to_fit:
             with self.bars("first frames (samples)") as bar:
                 wanted = wanted_of(frames, views, stages[0], None)
@@ -229,14 +272,16 @@ class _Job:
                 _LOG.info(
                     f"{share:.0%} of the planned Gaussians leave time for frames of twice the resolution"
                 )
-            views = self._views(stages)
+            views = self._views(stages, frames)
         with self.bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
 
-    def _views(self, stages: Sequence[Stage]) -> list[tuple[Camera, int]]:
+    def _views(self, stages: Sequence[Stage], frames: GrowingFrames) -> list[tuple[Camera, int]]:
         with self.bars(f"stage {len(stages)}: choosing views") as bar:
             bar(0, sum(stage.views for stage in stages))
-            return stage_views(self.region, stages, self.settings.seed)
+            had = [frames.camera(number) for number in range(len(frames.samples))]
+            elsewhere = 0 if self.beginning.place is None else self.planner.taken_over
+            return stage_views(self.region, stages, self.settings.seed, had, elsewhere)
 
     def _trained(
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None

@@ -31,17 +31,25 @@ _ASKED = 6
 _WORTHWHILE = 0.1
 
 
-def stage_views(region: ViewingRegion, stages: Sequence[Stage], seed: int) -> list[tuple[Camera, int]]:
-    """All views of some stages, each with its scale; those of fewer stages come first.
+def stage_views(
+    region: ViewingRegion,
+    stages: Sequence[Stage],
+    seed: int,
+    had: Sequence[Camera] = (),
+    elsewhere: int = 0,
+) -> list[tuple[Camera, int]]:
+    """All views of some stages, each with its scale; first those that there are already.
 
-    Views larger than a frame may be are cut to a random part.
+    As many of these as are `elsewhere` are none of the region's. Views larger than a frame may be are cut to
+    a random part.
     """
     stage_of = [stage for stage in stages for _ in range(stage.views)]
-    homes = region.views(len(stage_of), _SIDE, _SIDE, seed)
-    return [
-        (_part(home.resized(stage.whole, stage.whole), stage.side, [seed, index]), stage.scale)
-        for index, (home, stage) in enumerate(zip(homes, stage_of, strict=True))
+    homes = region.views(len(stage_of) - elsewhere, _SIDE, _SIDE, seed + elsewhere)
+    new = [
+        _part(homes[index - elsewhere].resized(stage.whole, stage.whole), stage.side, [seed, index])
+        for index, stage in list(enumerate(stage_of))[len(had) :]
     ]
+    return [(view, stage.scale) for view, stage in zip([*had, *new], stage_of, strict=True)]
 
 
 def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
@@ -61,7 +69,7 @@ def wanted_of(
     had = frames.samples
     aimed = [stage.spp_at(scale) for _, scale in views]
     if forest is not None and had:
-        show, asked = finest_shown(forest), _asked(frames)
+        show, asked = finest_shown(forest), frames.spread(_ASKED)
         # Squared error of denoised frames over that of what was traced, on average.
         errors = [_error(frames, number).mse for number in asked]
         share = float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
@@ -78,16 +86,11 @@ def wanted_of(
 
 def stated_error(frames: GrowingFrames) -> float:
     """PSNR in dB of the frames against the truth, as their samples tell."""
-    return mean_frame_error([_error(frames, number) for number in _asked(frames)]).psnr_db
+    return mean_frame_error([_error(frames, number) for number in frames.spread(_ASKED)]).psnr_db
 
 
 def _error(frames: GrowingFrames, number: int) -> FrameError:
     return frame_error(*frames.halves(number), frames.radiance(number))
-
-
-def _asked(frames: GrowingFrames) -> list[int]:
-    """Some views, evenly spaced over all."""
-    return sorted({round(at) for at in np.linspace(0, len(frames.samples) - 1, _ASKED)})
 
 
 def _noise(frames: GrowingFrames, number: int) -> float:
@@ -105,7 +108,7 @@ def _difference(frames: GrowingFrames, number: int, show: Callable[[Camera, floa
 def trained_psnr(frames: GrowingFrames, forest: Forest) -> float:
     """PSNR in dB of a forest in the frames that it was trained on."""
     show = finest_shown(forest)
-    return decibels(float(np.mean([_difference(frames, number, show) for number in _asked(frames)])))
+    return decibels(float(np.mean([_difference(frames, number, show) for number in frames.spread(_ASKED)])))
 
 
 VIEWS = "views"

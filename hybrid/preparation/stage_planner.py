@@ -19,6 +19,8 @@ from hybrid.preparation.stages import (
     Needs,
     PreparationSettings,
     Stage,
+    going_on,
+    planned_among,
     planned_stage,
 )
 
@@ -94,7 +96,7 @@ def next_stage(
     there is too little time for it, the last stage goes on, with more samples and steps. `left` is in
     seconds; None if time does not matter.
     """
-    stage = planned_stage(len(before), needs, stages)
+    stage = planned_stage(before, needs, stages)
     if left is None or _with_another(stage, before, needs, pace) <= left:
         return stage
     if before:
@@ -109,7 +111,7 @@ def next_stage(
 
 def _with_another(stage: Stage, before: Sequence[Stage], needs: Needs, pace: Seconds) -> float:
     """Seconds of a stage after others, and of half of the one that follows it."""
-    following = planned_stage(len(before) + 1, needs).in_time(_LEFT_SHARE)
+    following = planned_stage([*before, stage], needs).in_time(_LEFT_SHARE)
     return expected_seconds(stage, before).at(pace) + expected_seconds(following, [*before, stage]).at(pace)
 
 
@@ -121,7 +123,7 @@ def affordable(needs: Needs, pace: Seconds, left: float, stages: Sequence[Stage]
     half of them and two.
     """
     fewer = [replace(needs, detail=needs.detail * share) for share in _FEWER]
-    fits = (one for one in fewer if _with_another(planned_stage(0, one, stages), [], one, pace) <= left)
+    fits = (one for one in fewer if _with_another(planned_stage([], one, stages), [], one, pace) <= left)
     return next(fits, needs)
 
 
@@ -205,8 +207,9 @@ class Planner:
     def __init__(self, settings: PreparationSettings, journal: Journal, clock: JobClock, needs: Needs):
         self._settings, self.journal, self.clock = settings, journal, clock
         self._needs = Needs(**journal[_NEEDS]) if _NEEDS in journal else needs
-        # Those begun.
+        # Those begun, and the views of those that another preparation has done.
         self.stages: list[Stage] = []
+        self.taken_over = 0
 
     def begin(self, curve: list[dict[str, Any]]) -> bool:
         """Begins the next stage, unless the last one was enough by the curve of held-out quality so far."""
@@ -216,6 +219,17 @@ class Planner:
             self.journal.once(f"began {number}", self.clock.seconds)
             self.stages.append(Stage(**planned))
         return bool(planned)
+
+    def go_on(self, stages: Sequence[Stage], is_elsewhere: bool) -> None:
+        """Goes on after stages of another preparation, first with what is new; see `going_on`."""
+        self.stages, self.taken_over = list(stages), sum(stage.views for stage in stages)
+        self.journal.once(f"stage {len(stages)}", lambda: asdict(going_on(stages, is_elsewhere)))
+
+    @property
+    def planned(self) -> int:
+        """Stages that are planned, if none is found to be enough."""
+        extra = len(self.stages) - planned_among(self.stages)
+        return max(len(self.stages), len(self._settings.stages) + extra)
 
     @property
     def number(self) -> int:
@@ -287,18 +301,20 @@ class Planner:
         return f"training seconds {self.number}" in self.journal
 
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
-        if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
+        if number and self._is_enough([row["psnr"] for row in curve if "psnr" in row]):
             return None
         # How long the first stage takes is not known before it has begun.
         left = self._left() if number else None
         if left is not None and f"light seconds {number - 1}" in self.journal:
             # What it depends on, Gaussians and times, grows little from stage to stage.
             left -= self.journal[f"light seconds {number - 1}"]
-        stage = next_stage(self.stages, self._needs, self._pace(), left, self._settings.stages)
+        pace = AS_EXPECTED if left is None else self._pace()
+        stage = next_stage(self.stages, self._needs, pace, left, self._settings.stages)
         return asdict(stage) if stage else None
 
-    def _is_enough(self, number: int, psnr: list[float]) -> bool:
+    def _is_enough(self, psnr: list[float]) -> bool:
         """Whether what was asked for is reached, or no more is to be had."""
+        number = planned_among(self.stages)
         gained = len(psnr) < _LEAST_STAGES or psnr[-1] - psnr[-2] >= _LEAST_GAIN
         if self._settings.psnr is not None:
             return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES

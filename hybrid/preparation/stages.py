@@ -46,6 +46,7 @@ class Stage:
     gaussians: int  # in the finest layer at the end
     steps: int  # of the optimizer, over all layers
     breadth: float = 1.0  # of the region that it is for
+    extra: bool = False  # beside those that are planned
 
     @property
     def whole(self) -> int:
@@ -101,6 +102,35 @@ STAGES = (
     Stage(views=40, scale=2, spp=32, gaussians=74_000, steps=1000),
     Stage(views=60, scale=4, spp=64, gaussians=107_000, steps=1300),
 )
+
+
+# Steps in which what has changed is learnt, and those for a new place.
+_RELEARNT, _NEW_PLACE = 200, 150
+
+
+def places_of(stages: Sequence[Stage]) -> int:
+    """Places whose surroundings the views of stages show: that of the region, and those of extra stages."""
+    return 1 + sum(stage.extra and stage.views > 0 for stage in stages)
+
+
+def planned_among(stages: Sequence[Stage]) -> int:
+    """Number of the stages that were planned, without extra ones."""
+    return sum(not stage.extra for stage in stages)
+
+
+def going_on(before: Sequence[Stage], is_elsewhere: bool) -> Stage:
+    """What a preparation does first that goes on from the stages of another one.
+
+    That is to learn what has changed in their frames, or what views from elsewhere show.
+    """
+    last, first, places = before[-1], STAGES[0], places_of(before)
+    if not is_elsewhere:
+        return replace(last, views=0, steps=_RELEARNT, extra=True)
+    gaussians = round(last.gaussians * ((places + 1) / places) ** _SURFACES)
+    views, spp = STAGES[1].views, first.spp
+    return replace(last, views=views, spp=spp, gaussians=gaussians, steps=_NEW_PLACE, extra=True)
+
+
 # For somebody who waits for the first frame.
 _FIRST_LOOK = Stage(views=8, scale=1, spp=4, gaussians=20_000, steps=60)
 # A first look alone, and all stages after one.
@@ -115,13 +145,14 @@ QUALITIES = {
 }
 
 
-def planned_stage(number: int, needs: Needs, stages: Sequence[Stage] = STAGES) -> Stage:
-    """The stage of a number from 0, if there is time for all of it."""
-    if number < len(stages):
-        return stages[number].for_needs(needs)
-    # More of the same: the finest frames elsewhere, all samples doubled.
-    last = stages[-1]
-    return replace(last, spp=last.spp * 2 ** (number - len(stages) + 1)).for_needs(needs)
+def planned_stage(before: Sequence[Stage], needs: Needs, stages: Sequence[Stage] = STAGES) -> Stage:
+    """The stage that follows others, if there is time for all of it."""
+    number, places = planned_among(before), places_of(before)
+    # More of the same after the last one: the finest frames elsewhere, all samples doubled.
+    further = max(0, number - len(stages) + 1)
+    stage = stages[min(number, len(stages) - 1)]
+    stage = replace(stage, spp=stage.spp * 2**further).for_needs(needs)
+    return replace(stage, gaussians=round(stage.gaussians * places**_SURFACES))
 
 
 MOST_MINUTES = 10_000.0

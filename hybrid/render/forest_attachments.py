@@ -79,10 +79,7 @@ def views_of(forest: Forest) -> list[Camera]:
     try:
         if table.dtype != torch.float64 or table.shape[1:] != (_NUMBERS,):
             raise ValueError(f"{table.dtype} of shape {tuple(table.shape)}")
-        return [
-            Camera(row[6:].reshape(4, 4).copy(), int(row[0]), int(row[1]), *row[2:6].tolist())
-            for row in table.numpy()
-        ]
+        return [Camera.of_key(row.tobytes()) for row in table.numpy()]
     except (ValueError, OverflowError) as error:
         raise UserError(
             f"the forest's training views are damaged ({error}); train the forest again"

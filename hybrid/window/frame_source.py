@@ -14,17 +14,18 @@ from compose.camera.camera import Camera
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import PassClock, SpareMemory
 from hybrid.base.progress import Progress, bars_of
+from hybrid.preparation.earlier_jobs import newest_job
 from hybrid.preparation.preparation import prepare, with_forest
 from hybrid.preparation.scene_plan import as_stored, with_plan_of
 from hybrid.preparation.stages import GLIMPSE, PreparationSettings
-from hybrid.render.forest_attachments import scene_as_trained
+from hybrid.render.forest_attachments import scene_as_trained, views_of
 from hybrid.render.forest_light import ForestLight
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
-from hybrid.window.learning import ShownScene, Watched, forest_to_show
+from hybrid.window.learning import ShownScene, Task, Viewer, Watched, forest_to_show
 from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of, late_warped, nearness
 from pathtrace.scene.backend import select_backend
@@ -81,6 +82,7 @@ class SceneSource:
     def __init__(self, renderer: LiveRenderer, watched: Watched | None = None, forest: Path | None = None):
         """Also takes the file of the renderer's forest, from which a changed scene is learnt."""
         self.renderer, self._watched, self._forest = renderer, watched, forest
+        self._viewer = Viewer()
         self._last: ShownFrame | None = None
         self._converging: ConvergingFrame | None = None
         self._seed = 0
@@ -148,7 +150,9 @@ class SceneSource:
             save_forest(self._forest, forest)
             self.renderer = LiveRenderer(scene, forest)
             self._last = self._converging = None
-            self._watched.learn(self._forest, urgent=True)
+            job = newest_job(before)
+            folder = None if job is None else str(job.folder)
+            self._watched.learn(Task(str(self._forest), True, folder, self._viewer.place))
             return True
         learnt = self._watched.learnt()
         if learnt is not None:
@@ -159,7 +163,19 @@ class SceneSource:
                 # The scene had no plan before.
                 self.renderer = LiveRenderer(before, forest)
             self._last = self._converging = None
+        self._follow()
         return learnt is not None
+
+    def _follow(self) -> None:
+        """Learns what is around a viewer who stays where no training view is near."""
+        assert self._watched is not None
+        if self._last is None or not self._watched.learns:
+            return
+        camera, forest = self._last.frame.camera, self.renderer.periphery.forest
+        if self._viewer.stays(camera) and self._viewer.is_away(self.renderer.scene, views_of(forest)):
+            job = newest_job(self.renderer.scene)
+            folder = None if job is None else str(job.folder)
+            self._watched.learn(Task(str(self._forest), False, folder, self._viewer.settle()))
 
     def close(self) -> None:
         if self._watched is not None:
@@ -226,5 +242,5 @@ def prepared(
         cache_for(loaded, bars)
     watched = Watched(scene, learns and forest is None, say)
     if is_unfinished:
-        watched.learn(path)
+        watched.learn(Task(str(path)))
     return SceneSource(LiveRenderer(loaded, found), watched, path)

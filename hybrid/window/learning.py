@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import signal
 import subprocess
@@ -11,18 +12,22 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, TypeAlias
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import locked
+from compose.camera.camera import Camera
 from hybrid.base.cache_folder import newest_forest, scene_folder
 from hybrid.base.progress import Progress, bars_of
-from hybrid.preparation.preparation import Staged, prepare
+from hybrid.preparation.earlier_jobs import newest_job
+from hybrid.preparation.preparation import Beginning, Staged, prepare
 from hybrid.preparation.scene_plan import as_planned
 from hybrid.preparation.stages import GLIMPSE, LIVE, PreparationSettings
 from hybrid.window.messages import Newest
+from pathtrace.region.neighbourhood import is_elsewhere
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene, files_of_scene, load_scene
 from splat.io.forest_file import load_forest
@@ -31,6 +36,8 @@ from splat.model.forest import Forest
 # Seconds between two lines about the progress, and between two looks at a scene's files: folders of other
 # machines tell nobody of their changes.
 _LINE_EVERY, _LOOK_EVERY = 1.0, 0.5
+# Seconds for which a viewer stands still before it counts as staying.
+_STAYS = 2.0
 _Stamps: TypeAlias = dict[Path, tuple[int, int]]
 
 
@@ -64,21 +71,34 @@ def forest_to_show(scene: Scene) -> tuple[Path | None, bool]:
     return None, True
 
 
-class Learner:
-    """A preparation in another process, from a forest if one is given; `say` gets a line about it.
+@dataclass(frozen=True)
+class Task:
+    """What is to be learnt, in types that JSON has.
 
-    `forests` has the newest forest, of which better ones follow. An urgent one takes as much time as the
-    window until the first of them, else only time that nobody needs.
+    Attributes:
+        start: file of the forest to go on from.
+        urgent: whether it takes as much time as the window until there is a better forest, rather than time
+            that nobody needs.
+        job: folder of the preparation whose frames are taken over; see `Beginning`.
+        place: `Camera.key` of where it learns, in hexadecimal digits; by default, where it last did.
     """
 
-    def __init__(
-        self, scene: ShownScene, start: Path | None, say: Callable[[str], object], urgent: bool = False
-    ):
+    start: str | None = None
+    urgent: bool = False
+    job: str | None = None
+    place: str | None = None
+
+
+class Learner:
+    """A preparation in another process; `say` gets a line about it.
+
+    `forests` has the newest forest, of which better ones follow.
+    """
+
+    def __init__(self, scene: ShownScene, task: Task, say: Callable[[str], object]):
         self.forests: Newest[tuple[Path, Forest]] = Newest()
         self._say, self._ending = say, False
-        given = json.dumps(
-            {"scene": asdict(scene), "start": None if start is None else str(start), "urgent": urgent}
-        )
+        given = json.dumps({"scene": asdict(scene), "task": asdict(task)})
         self._process = subprocess.Popen(
             [sys.executable, "-m", __name__, given],
             stdin=subprocess.PIPE,
@@ -160,11 +180,16 @@ class Watched:
         self._files = SceneWatch(scene.source)
         self._learner: Learner | None = None
 
-    def learn(self, start: Path | None, urgent: bool = False) -> None:
-        """Begins to learn the scene as it is now, from the forest in a file; see `Learner`."""
+    @property
+    def learns(self) -> bool:
+        """Whether it has begun to learn."""
+        return self._learner is not None
+
+    def learn(self, task: Task) -> None:
+        """Begins to learn the scene as it is now, in place of what it was learning."""
         self.stop()
         if self._learns:
-            self._learner = Learner(self._scene, start, self._say, urgent)
+            self._learner = Learner(self._scene, task, self._say)
 
     def learnt(self) -> tuple[Path, Forest] | None:
         """A better forest and its file, if there is one that was not taken yet."""
@@ -187,9 +212,42 @@ class Watched:
             self._learner = None
 
 
-def _learn(given: dict[str, Any], tell: Callable[..., None]) -> None:
-    start, shown = given["start"], ShownScene(**given["scene"])
-    if not given["urgent"]:
+class Viewer:
+    """Where somebody looks from, and whether that is a place to be learnt.
+
+    `place` is the one that is being learnt, as in `Task`; None for that of the scene's own camera.
+    """
+
+    def __init__(self) -> None:
+        self.place: str | None = None
+        self._camera: Camera | None = None
+        self._since = math.inf
+
+    def stays(self, camera: Camera) -> bool:
+        """Told the camera again and again: whether it has stood still for a while; once for each rest."""
+        now = time.monotonic()
+        if camera != self._camera:
+            self._camera, self._since = camera, now
+        if now - self._since < _STAYS:
+            return False
+        self._since = math.inf
+        return True
+
+    def is_away(self, scene: Scene, known: list[Camera]) -> bool:
+        """Whether the camera sees something else than what is known from cameras, and has space around it."""
+        assert self._camera is not None
+        learning = [] if self.place is None else [Camera.of_key(bytes.fromhex(self.place))]
+        return is_elsewhere(scene, self._camera, [*known, *learning])
+
+    def settle(self) -> str:
+        """Makes where the camera is the place."""
+        assert self._camera is not None
+        self.place = self._camera.key.hex()
+        return self.place
+
+
+def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
+    if not task.urgent:
         _give_way()
     select_backend(shown.backend)
     bars = bars_of(_telling(tell))
@@ -203,12 +261,23 @@ def _learn(given: dict[str, Any], tell: Callable[..., None]) -> None:
         tell(f"learnt: {staged.psnr:.1f} dB in training frames after {took}", staged.forest)
         _give_way()
 
-    forest = None if start is None else load_forest(start)
     settings = PreparationSettings(quality=LIVE, held_out=0)
-    # Another window may still be learning it.
-    with locked(scene_folder(scene.name, scene.hash) / "learning"):
-        prepared = prepare(scene, settings, bars, start=forest, told=told)
+    folders = {scene_folder(scene.name, scene.hash)} | ({Path(task.job).parent} if task.job else set())
+    with ExitStack() as stack:
+        # Another window may still be learning it, or the process before this one may not have ended yet.
+        for folder in sorted(folders):
+            stack.enter_context(locked(folder / "learning"))
+        prepared = prepare(scene, settings, bars, beginning=_beginning(scene, task), told=told)
     tell("all stages are learnt", Path(prepared.facts["forest"]))
+
+
+def _beginning(scene: Scene, task: Task) -> Beginning:
+    forest = None if task.start is None else load_forest(Path(task.start))
+    job = None if task.job is None else Path(task.job)
+    if task.place is not None:
+        return Beginning(forest, job, Camera.of_key(bytes.fromhex(task.place)))
+    last = newest_job(scene)
+    return Beginning(forest, job, None if last is None else last.place)
 
 
 def _give_way() -> None:
@@ -253,7 +322,8 @@ def _main() -> None:
         out.write(json.dumps(told) + "\n")
 
     try:
-        _learn(json.loads(sys.argv[1]), tell)
+        given = json.loads(sys.argv[1])
+        _learn(ShownScene(**given["scene"]), Task(**given["task"]), tell)
     except UserError as error:
         tell(f"learning has ended: {one_line(error)}")
     except KeyboardInterrupt:

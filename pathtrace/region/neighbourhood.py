@@ -50,11 +50,16 @@ BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x,
 
 
 class Neighbourhood:
-    """The space around a scene's own camera, at the scale of what it sees; UserError if that is nothing."""
+    """The space around a scene's own camera, or another one, at the scale of what it sees.
 
-    def __init__(self, scene: Scene, surfaces: Surfaces, width: int, height: int):
+    UserError if that is nothing.
+    """
+
+    def __init__(
+        self, scene: Scene, surfaces: Surfaces, width: int, height: int, camera: Camera | None = None
+    ):
         self.scene_name, self.surfaces = scene.name, surfaces
-        self.home = scene.camera.resized(width, height)
+        self.home = (camera or scene.camera).resized(width, height)
         self.scale = surfaces.median_distance(self.home)
         if not np.isfinite(self.scale):
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
@@ -156,24 +161,25 @@ class Neighbourhood:
 
 @dataclass(frozen=True)
 class NearRegion:
-    """The neighbourhood of the scene's own camera as a region."""
+    """The neighbourhood of the scene's own camera as a region; or of another camera, at some `place`."""
 
     scene: Scene
     surfaces: Surfaces
+    place: Camera | None = None
     name: str = "near"
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """(N,) whether a viewer can be at points (N, 3)."""
-        home = self.scene.camera
-        return Neighbourhood(self.scene, self.surfaces, home.width, home.height).contains(points)
+        home = self.place or self.scene.camera
+        return self._around(home.width, home.height).contains(points)
 
     def identity(self) -> dict[str, Any]:
         """What tells it from other regions of the same scene."""
-        return {"kind": "near"}
+        return {"kind": "near"} | ({} if self.place is None else {"place": self.place.key.hex()})
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on: the scene's own camera and views around it; some of these show the border."""
-        around = Neighbourhood(self.scene, self.surfaces, width, height)
+        """Views to train on: the camera itself and views around it; some of these show the border."""
+        around = self._around(width, height)
         border = around.border()[: max(0, count - 1 - _BEFORE_BORDER)]
         first, second = _BEFORE_BORDER, _BEFORE_OUTER
         outer = around.outer(seed)[: max(0, count - 1 - second - len(border))]
@@ -183,8 +189,10 @@ class NearRegion:
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
         """Held-out validation views."""
-        around = Neighbourhood(self.scene, self.surfaces, width, height)
-        return around.spread(count, UNSEEN_SEED + seed)
+        return self._around(width, height).spread(count, UNSEEN_SEED + seed)
+
+    def _around(self, width: int, height: int) -> Neighbourhood:
+        return Neighbourhood(self.scene, self.surfaces, width, height, self.place)
 
 
 def _in_ball(u: Array) -> Array:
@@ -233,6 +241,20 @@ def wider(view: View) -> View:
     half = max(camera.width / camera.fx, camera.height / camera.fy) / 2
     factor = max(1.0, min(_WIDER, _WIDEST / half))
     return replace(view, camera=replace(camera, fx=camera.fx / factor, fy=camera.fy / factor))
+
+
+def is_elsewhere(scene: Scene, camera: Camera, known: Sequence[Camera]) -> bool:
+    """Whether a camera is in the neighbourhood of no known one, and has one itself."""
+    surfaces = scene.surfaces()
+    try:
+        radius = Neighbourhood(scene, surfaces, camera.width, camera.height).radius
+        NearRegion(scene, surfaces, camera).views(2 * len(BORDER), camera.width, camera.height, UNSEEN_SEED)
+    except UserError:
+        return False
+    poses = np.array([one.camera_to_world for one in known]).reshape(-1, 4, 4)
+    is_near = np.linalg.norm(poses[:, :3, 3] - camera.position, axis=1) <= radius
+    alike = poses[:, :3, 2] @ camera.camera_to_world[:3, 2] >= np.cos(np.radians(BORDER[-1][0] * _YAW))
+    return not bool((is_near & alike).any())
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:

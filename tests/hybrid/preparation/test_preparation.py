@@ -14,7 +14,7 @@ from hybrid.preparation import preparation as module
 from hybrid.preparation import stage_planner as planner
 from hybrid.preparation import stages
 from hybrid.preparation.decisions import FIXED_GAUSSIANS, GAUSSIANS, REGION, SAMPLES
-from hybrid.preparation.preparation import Staged, prepare
+from hybrid.preparation.preparation import Beginning, Staged, prepare
 from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings
 from hybrid.render.forest_attachments import plan_of_forest, seconds_of
@@ -232,7 +232,9 @@ def test_a_preparation_goes_on_from_a_forest(scene, tmp_path, whole):
     start = whole[1].forest
     settings = replace(DRAFT, seed=3)
     told: list[Staged] = []
-    begun = prepare(scene, settings, no_bars, tmp_path / "begun", start=start, told=told.append)
+    begun = prepare(
+        scene, settings, no_bars, tmp_path / "begun", beginning=Beginning(start), told=told.append
+    )
     anew: list[Staged] = []
     prepare(scene, settings, no_bars, tmp_path / "anew", told=anew.append)
     assert told[0].psnr > anew[0].psnr + 0.3

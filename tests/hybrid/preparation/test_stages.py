@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.preparation.stages import STAGES, Needs, planned_stage
+from hybrid.preparation.stages import STAGES, Needs, Stage, going_on, planned_stage
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -26,8 +26,29 @@ def test_broad_regions_have_more_views_of_no_more_samples_in_all(stage, breadth)
 
 
 def test_after_the_last_stage_samples_double():
-    assert [planned_stage(number, Needs()) for number in range(len(STAGES))] == list(STAGES)
-    assert planned_stage(len(STAGES), Needs()).spp == 2 * STAGES[-1].spp
+    stages: list[Stage] = []
+    for stage in STAGES:
+        assert planned_stage(stages, Needs()) == stage
+        stages.append(stage)
+    assert planned_stage(stages, Needs()).spp == 2 * STAGES[-1].spp
+
+
+def test_what_has_changed_is_learnt_between_the_stages():
+    """In the frames that there are, with the Gaussians that there are."""
+    changed = going_on(STAGES[:2], is_elsewhere=False)
+    assert (changed.views, changed.gaussians, changed.scale) == (0, STAGES[1].gaussians, STAGES[1].scale)
+    assert planned_stage([*STAGES[:2], changed], Needs()) == STAGES[2]
+
+
+def test_another_place_has_views_and_gaussians_of_its_own():
+    second = going_on(STAGES[:2], is_elsewhere=True)
+    assert second.views > 0
+    assert STAGES[1].gaussians < second.gaussians < 2 * STAGES[1].gaussians
+    following = planned_stage([*STAGES[:2], second], Needs())
+    assert replace(following, gaussians=STAGES[2].gaussians) == STAGES[2]
+    assert following.gaussians > STAGES[2].gaussians
+    third = going_on([*STAGES[:2], second], is_elsewhere=True)
+    assert second.gaussians < third.gaussians < 3 * STAGES[1].gaussians
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -77,7 +77,7 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits(before, lon
 @pytest.mark.parametrize("dear", [1.0, 2.0, 4.0])
 def test_a_stretched_first_stage_leaves_time_for_its_training(dear):
     """Where paths are dear, there are fewer of them; never fewer than the stage has without stretching."""
-    pace, stage = Seconds(dear, 1.0), planned_stage(0, Needs(detail=2.0))
+    pace, stage = Seconds(dear, 1.0), planned_stage([], Needs(detail=2.0))
     left = 1.5 * expected_seconds(stage, []).at(pace)
     stretched = next_stage([], Needs(detail=2.0), pace, left)
     assert stretched is not None
@@ -132,7 +132,8 @@ def test_steps_cost_what_a_view_shows():
 )
 def test_a_stage_is_expected_to_take_what_it_took(number, frames, training):
     """In `room`, for which 67,800 Gaussians are planned, on the machine that this was measured on."""
-    stages = [planned_stage(one, Needs(detail=67_800 / STAGES[0].gaussians)) for one in range(number + 1)]
+    needs = Needs(detail=67_800 / STAGES[0].gaussians)
+    stages = [planned_stage(STAGES[:one], needs) for one in range(number + 1)]
     expected = expected_seconds(stages[-1], stages[:-1])
     assert expected.frames == pytest.approx(frames, rel=0.1)
     assert expected.training == pytest.approx(training, rel=0.2)
@@ -168,7 +169,8 @@ def test_the_first_views_tell_how_large_the_first_stage_can_be(tmp_path):
 
 def two_stages(needs: Needs) -> float:
     """Expected seconds of the first stage and of half of the second."""
-    first, second = planned_stage(0, needs), planned_stage(1, needs).in_time(0.5)
+    first = planned_stage([], needs)
+    second = planned_stage([first], needs).in_time(0.5)
     return sum(expected_seconds(*of).at(AS_EXPECTED) for of in ((first, []), (second, [first])))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window import learning
 from hybrid.window.frame_source import SceneSource, prepared
-from hybrid.window.learning import Learner, SceneWatch, ShownScene, Watched, forest_to_show
+from hybrid.window.learning import Learner, SceneWatch, ShownScene, Task, Watched, forest_to_show
 from hybrid.window.messages import Request
 from pathtrace.scene.scene import bundled_scenes, load_scene
 from pathtrace.trace import Integrator
@@ -51,13 +51,10 @@ def quiet(done: int, total: int, label: str) -> None:
     """Ignores progress."""
 
 
-def learn(start: Path | None) -> list[tuple[str, Path | None]]:
+def learn(task: Task) -> list[tuple[str, Path | None]]:
     """What the process tells that learns the Cornell box, without those about its progress."""
     told: list[tuple[str, Path | None]] = []
-    learning._learn(
-        {"scene": asdict(CORNELL), "start": None if start is None else str(start), "urgent": False},
-        lambda line, forest=None: told.append((line, forest)),
-    )
+    learning._learn(CORNELL, task, lambda line, forest=None: told.append((line, forest)))
     return [one for one in told if not one[0].startswith("learning: ")]
 
 
@@ -73,7 +70,7 @@ def tiny(monkeypatch):
 
 
 def test_each_stage_is_told_with_its_forest_and_the_last_one_again(tiny):
-    told = learn(None)
+    told = learn(Task())
     assert [line.split(", ")[0].split("frames ")[-1] for line, _ in told] == [
         "after stage 1 of 3",
         "after stage 2 of 3",
@@ -86,19 +83,19 @@ def test_each_stage_is_told_with_its_forest_and_the_last_one_again(tiny):
     newest = newest_forest(as_planned(load_scene("cornell")))
     assert newest.name.startswith("live-")
     assert forest_to_show(as_planned(load_scene("cornell"))) == (newest, True)
-    assert learn(None) == [told[-1]]
+    assert learn(Task()) == [told[-1]]
 
 
 def test_a_forest_that_was_prepared_is_told_instead_of_another(made):
     scene = as_planned(load_scene("cornell"))
     store_forest(load_forest(made / "box.forest"), "mine")
-    assert learn(None) == [("prepared earlier", newest_forest(scene))]
+    assert learn(Task()) == [("prepared earlier", newest_forest(scene))]
     assert forest_to_show(scene) == (newest_forest(scene), False)
 
 
 def test_a_process_says_why_it_has_ended():
     said = Said()
-    learner = Learner(ShownScene("no-such-scene"), None, said)
+    learner = Learner(ShownScene("no-such-scene"), Task(), said)
     assert said.heard.wait(PATIENCE)
     learner.stop()
     assert said.lines[0].startswith("learning has ended: no-such-scene: no such scene")
@@ -107,7 +104,7 @@ def test_a_process_says_why_it_has_ended():
 
 def test_a_process_ends_with_the_window():
     said = Said()
-    learner = Learner(CORNELL, None, said)
+    learner = Learner(CORNELL, Task(), said)
     assert said.heard.wait(PATIENCE)
     learner.stop()
     assert learner._process.wait(PATIENCE) == 0
@@ -118,7 +115,11 @@ class FakeWatched(Watched):
     """Something that changes and learns when it is told to."""
 
     def __init__(self):
-        self.forests, self.scenes, self.starts = [], [], []
+        self.forests, self.scenes, self.tasks = [], [], []
+
+    @property
+    def learns(self):
+        return True
 
     def learnt(self):
         return self.forests.pop() if self.forests else None
@@ -126,8 +127,8 @@ class FakeWatched(Watched):
     def changed(self):
         return self.scenes.pop() if self.scenes else None
 
-    def learn(self, start, urgent=False):
-        self.starts.append((start, urgent))
+    def learn(self, task):
+        self.tasks.append(task)
 
 
 @pytest.fixture
@@ -187,9 +188,9 @@ def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, tmp_path
     assert shown.mean() == pytest.approx(light * splats.mean(), rel=0.05)
     disc = [np.mean(shown.frame.fovea.radiance) for shown in (before, after)]
     assert 0.05 < disc[1] / disc[0] < 0.2
-    (start, urgent) = watched.starts.pop()
-    assert urgent
-    assert load_forest(start).digest() == source.renderer.periphery.forest.digest()
+    task = watched.tasks.pop()
+    assert task.urgent
+    assert load_forest(task.start).digest() == source.renderer.periphery.forest.digest()
     learnt = replace(darkened(source.renderer.periphery.forest), scene_hash=source.renderer.scene.hash)
     watched.forests.append((Path("next.safetensors"), learnt))
     assert source.renew(quiet)
