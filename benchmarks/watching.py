@@ -1,9 +1,9 @@
-"""Watches scenes that nothing was prepared for: first frame, rate while learning, and changes of files.
+"""Watches scenes that nothing was prepared for: first frame, rate while learning, changes, other places.
 
 python -m benchmarks.watching SCENE ... [--json FILE]
 
 The first frame is timed from the start of the process, with compiled kernels. What changes is `room`: a
-dimmed lamp, a moved object, another texture.
+dimmed lamp, a moved object, another texture. Where the viewer goes is where `room` was not learnt.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from typing import Any
 
 import hybrid
 from benchmarks import parser_of, report
+from compose.camera.camera import Camera, turned
 from compose.eye.gaze import Gaze
 from hybrid.base.progress import no_progress
 from hybrid.preparation.forest_errors import Judges
@@ -31,7 +32,7 @@ from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.frame_source import SceneSource, prepared
 from hybrid.window.learning import ShownScene
 from hybrid.window.messages import Request
-from pathtrace.region.neighbourhood import unseen_views
+from pathtrace.region.neighbourhood import NearRegion
 from pathtrace.scene.backend import select_backend
 from pathtrace.trace.tracer import Tracer
 
@@ -42,6 +43,9 @@ _RATED, _LEARNT = 20.0, 90.0
 _REST = 10.0
 # Views that judge the periphery, and their side in pixels.
 _VIEWS, _SIDE = 4, 128
+# Where a viewer goes: ahead, in median distances of what the scene's own camera sees, and turned, in degrees;
+# and seconds after which it is looked how well that is known.
+_STEP, _TURN, _STAYED = 0.2, 60.0, (0.0, 30.0, 60.0, 120.0)
 # What changes, by name: a text of the scene's file and what it becomes, and the seconds given to learn it.
 _CHANGES = {
     "lamp dimmed": ('value="6.2, 5.6, 4.7"', 'value="2.5, 2.3, 1.9"', 30.0),
@@ -55,10 +59,10 @@ _CHANGES = {
 }
 
 
-def _watch(source: SceneSource, seconds: float) -> list[float]:
-    """Shows frames while the gaze moves, as the window does; milliseconds of each."""
+def _watch(source: SceneSource, seconds: float, camera: Camera | None = None) -> list[float]:
+    """Shows frames of a camera while the gaze moves, as the window does; milliseconds of each."""
     times: list[float] = []
-    camera, end = source.camera.resized(*_SIZE), time.perf_counter() + seconds
+    camera, end = (camera or source.camera).resized(*_SIZE), time.perf_counter() + seconds
     while (start := time.perf_counter()) < end:
         number = len(times) + 1
         source.renew(no_progress)
@@ -104,9 +108,11 @@ def _rates(scene: str) -> dict[str, float]:
     return found
 
 
-def _judges(scene: hybrid.Scene, folder: Path) -> Callable[[SceneSource], float]:
-    views = list(unseen_views(scene, _VIEWS, _SIDE, _SIDE))
-    judges = Judges(folder, Tracer(scene), [view.camera for view in views], [0.0] * _VIEWS, no_progress)
+def _judges(
+    scene: hybrid.Scene, folder: Path, place: Camera | None = None
+) -> Callable[[SceneSource], float]:
+    cameras = NearRegion(scene, scene.surfaces(), place).unseen_views(_VIEWS, _SIDE, _SIDE, 0)
+    judges = Judges(folder, Tracer(scene), cameras, [0.0] * _VIEWS, no_progress)
     return lambda source: judges.quality(source.renderer.periphery.forest)["psnr"]
 
 
@@ -134,6 +140,24 @@ def _changes(folder: Path) -> dict[str, dict[str, float]]:
     return found
 
 
+def _elsewhere(folder: Path) -> list[dict[str, float]]:
+    """PSNR in dB at the scene's own camera and where a viewer goes, as the viewer comes, and thereafter."""
+    scene = hybrid.load_scene("room")
+    pose = scene.camera.camera_to_world.copy()
+    pose[:3, 3] += _STEP * scene.surfaces().median_distance(scene.camera) * pose[:3, 2]
+    pose[:3, :3] = turned(pose[:3, :3], _TURN, 0.0)
+    place = scene.camera.at(pose)
+    judges = [_judges(scene, folder / name, camera) for name, camera in (("home", None), ("place", place))]
+    source, rows = _source("room", True), []
+    _watch(source, _LEARNT)
+    for seconds in _STAYED:
+        _watch(source, seconds - (rows[-1]["seconds"] if rows else 0.0), place)
+        home, there = (judge(source) for judge in judges)
+        rows.append({"seconds": seconds, "home": home, "place": there})
+    source.close()
+    return rows
+
+
 def main() -> None:
     """Measures, and prints or writes the figures."""
     arguments = parser_of(__doc__)
@@ -152,6 +176,8 @@ def main() -> None:
             found["ms"][name] = _rates(scene)
         os.environ["HYBRID_HOME"] = f"{folder}/changes"
         found["changes"] = _changes(Path(folder))
+        os.environ["HYBRID_HOME"] = f"{folder}/elsewhere"
+        found["elsewhere"] = _elsewhere(Path(folder))
     report(found, given.json)
 
 

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import torch
 
+from compose.camera.camera import Camera, turned
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import newest_forest, store_forest
+from hybrid.preparation.earlier_jobs import newest_job
 from hybrid.preparation.scene_plan import as_planned, as_stored, with_plan_of
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
@@ -195,6 +197,75 @@ def test_a_changed_scene_is_shown_with_the_splats_of_before(own_source, tmp_path
     watched.forests.append((Path("next.safetensors"), learnt))
     assert source.renew(quiet)
     assert source.renderer.splats(asked(source).settings).mean() < 0.5 * splats.mean()
+
+
+def walked(source: SceneSource, steps: float) -> Request:
+    """A request from further to the right, in units of what the camera sees, turned a little."""
+    scene = source.renderer.scene
+    request, distance = asked(source), scene.surfaces().median_distance(scene.camera)
+    camera = request.settings.camera.moved_right(steps * distance)
+    return replace(request, settings=replace(request.settings, camera=camera))
+
+
+def test_where_a_viewer_stays_is_learnt(own_source, monkeypatch, made):
+    """Once, from the frames of before, and only beyond what training views show."""
+    source, watched = own_source
+    clock = [0.0]
+    monkeypatch.setattr(learning.time, "monotonic", lambda: clock[0])
+
+    def shown(request: Request, seconds: float) -> None:
+        source.show(request, quick=True)
+        for _ in range(2):
+            source.renew(quiet)
+            clock[0] += seconds
+
+    shown(walked(source, 0.0), 3.0)
+    shown(walked(source, 0.05), 3.0)
+    # Passing by.
+    shown(walked(source, 0.25), 1.0)
+    assert not watched.tasks
+    for _ in range(2):
+        shown(walked(source, 0.2), 3.0)
+    (task,) = watched.tasks
+    assert (task.start, task.urgent) == (str(made / "box.forest"), False)
+    assert Camera.of_key(bytes.fromhex(task.place)) == walked(source, 0.2).settings.camera
+    # It is being learnt already.
+    shown(walked(source, 0.22), 3.0)
+    assert len(watched.tasks) == 1
+    # A change of the scene is learnt there.
+    watched.scenes.append(load_scene("cornell"))
+    source.renew(quiet)
+    assert watched.tasks[1].place == task.place
+    assert watched.tasks[1].urgent
+
+
+def test_a_viewer_who_looks_at_nothing_is_not_followed(own_source, monkeypatch):
+    source, watched = own_source
+    monkeypatch.setattr(learning, "_STAYS", 0.0)
+    request = asked(source)
+    pose = request.settings.camera.camera_to_world.copy()
+    pose[:3, :3] = turned(pose[:3, :3], 180.0, 0.0)
+    camera = request.settings.camera.at(pose)
+    source.show(replace(request, settings=replace(request.settings, camera=camera)), quick=True)
+    source.renew(quiet)
+    assert not watched.tasks
+
+
+def test_learning_goes_on_where_it_was(tiny):
+    """In another window, which is not told of the place."""
+    scene = as_planned(load_scene("cornell"))
+    learn(Task())
+    pose = scene.camera.camera_to_world.copy()
+    pose[:3, 3] -= 0.2 * scene.surfaces().median_distance(scene.camera) * pose[:3, 2]
+    place, before = scene.camera.at(pose).key.hex(), newest_job(scene)
+    assert before is not None
+    there = learn(Task(str(newest_forest(scene)), job=str(before.folder), place=place))
+    assert "after stage 4 of 4" in there[0][0]
+    found = newest_job(scene)
+    assert found is not None
+    assert found.folder.parent == before.folder.parent
+    assert found.place.key.hex() == place
+    assert learn(Task()) == [there[-1]]
 
 
 def test_a_scene_that_moves_is_not_planned_as_one_that_stands_still(tmp_path):
