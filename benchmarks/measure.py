@@ -22,7 +22,12 @@ from typing import Any
 from benchmarks.hard_scenes import SCENES
 from benchmarks.tables import DATA, ROOT
 
-STAIRCASE = "staircase2/scene.xml"
+# What stands for scene files of others, and where these lie.
+OTHERS = {
+    "STAIRCASE": "staircase2/scene.xml",
+    "CLASSROOM": "classroom/scene.xml",
+    "AJAR": "veach-ajar/scene.xml",
+}
 # What requires this forest requires `prepare-room`, which makes it.
 _FRAMES = "--forest room.forest"
 _PREPARED = "hybrid prepare {0}/scene.xml -o {0}.forest --held-out 4 --minutes 1 --seed 5"
@@ -39,8 +44,8 @@ _LEVELS = {
     "levels": "python -m benchmarks.levels {0} --forest {1}-levels.forest",
 }
 # Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
-# folder; STAIRCASE stands for the scene file of staircase2, VISION for the folder of data about people's
-# vision; the scenes of `benchmarks.hard_scenes` lie in the working folder as well.
+# folder, and so do the scenes of `benchmarks.hard_scenes`; VISION stands for the folder of data about people's
+# vision, the words of OTHERS for scene files.
 MEASUREMENTS = {
     "quickstart": "hybrid quickstart room --out out",
     "prepare-room": "hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5",
@@ -61,6 +66,8 @@ MEASUREMENTS = {
     },
     "window": f"python -m benchmarks.window room --seconds 20 --repeats 3 {_FRAMES}",
     "late-warp": f"python -m benchmarks.late_warp room {_FRAMES}",
+    "watching": "python -m benchmarks.watching room STAIRCASE CLASSROOM AJAR",
+    "long-window": f"python -m benchmarks.long_window room VISION {_FRAMES}",
     "remote": f"python -m benchmarks.remote room --seconds 170 --hostile-seconds 600 {_FRAMES}",
     "integrator-room": "hybrid bench integrator room --reference-spp 512",
     "integrator-staircase2": "hybrid bench integrator STAIRCASE --reference-spp 512",
@@ -111,7 +118,7 @@ def measure(name: str, work: Path, places: dict[str, Path]) -> None:
             check=True,
         )
         found: dict[str, Any] = {
-            "command": command.replace("STAIRCASE", STAIRCASE),
+            "command": " ".join(OTHERS.get(word, word) for word in command.split()),
             "date": datetime.now(timezone.utc).date().isoformat(),
             "seconds": round(time.perf_counter() - start, 1),
             **current,
@@ -135,7 +142,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
-    parser.add_argument("--scenes", type=Path, default=Path("../shared/scenes"), help="where staircase2 lies")
+    parser.add_argument(
+        "--scenes", type=Path, default=Path("../shared/scenes"), help="where others' scenes lie"
+    )
     parser.add_argument("--vision", type=Path, default=Path("../shared/data"), help="data of people's vision")
     parser.add_argument("--work", type=Path, default=Path("out/measure"), help="working folder")
     options = parser.parse_args()
@@ -149,7 +158,8 @@ def main() -> None:
     for scene, write in SCENES.items():
         if f"prepare-{scene}" in names:
             write(work / scene)
-    places = {"STAIRCASE": options.scenes.resolve() / STAIRCASE, "VISION": options.vision.resolve()}
+    places = {name: options.scenes.resolve() / file for name, file in OTHERS.items()}
+    places["VISION"] = options.vision.resolve()
     for name in names:
         print(f"{name}: {MEASUREMENTS[name]}", flush=True)
         measure(name, work, places)

@@ -409,6 +409,43 @@ def late_warp() -> str:
     return _table("movement | size | late, dB | warped, dB | warp, ms", rows, "late-warp")
 
 
+def watching() -> str:
+    """How soon a window shows a scene that nobody prepared, and what learning costs it."""
+    found, form = result("watching"), "{} | {:.0f} | {:.0f} | {:.0f} | {:.0%}"
+    rows = [
+        form.format(scene, seconds, *(found["ms"][scene][name] for name in ("alone", "learning")), share)
+        for scene, seconds in found["first_frame_s"].items()
+        for share in [found["ms"][scene]["alone"] / found["ms"][scene]["learning"]]
+    ]
+    header = "scene | first frame after, s | frame alone, ms | beside learning, ms | rate kept"
+    return _table(header, rows, "watching")
+
+
+def relearning() -> str:
+    """What a window learns of changes, and of places that it did not know."""
+    found = result("watching")
+    form = "{0} | {before:.1f} | {unlearnt:.1f} | {seconds:.0f} | {learnt:.1f}"
+    changes = [form.format(name, **row) for name, row in found["changes"].items()]
+    header = "change | before, dB | just after, dB | seconds to learn | learnt, dB"
+    places = _rows("{seconds:.0f} | {place:.1f} | {home:.1f}", found["elsewhere"])
+    seen = markdown("seconds at a new place | views there, dB | views where it came from, dB", places)
+    return _table(header, changes, "watching", below=seen)
+
+
+def long_window() -> str:
+    """What hours leave of memory, rate and latency of the window in a browser."""
+    found = result("long-window")
+    names = {
+        "window_mib": "memory of the window, MiB",
+        "browser_mib": "memory of the browser, MiB",
+        "frame_ms": "frame, ms",
+        "latency_ms": "mouse to screen, ms",
+    }
+    rows = [f"frames in {found['hours']:.1f} hours | {found['frames']:,} | "]
+    rows += ["{0} | {first:.0f} | {last:.0f}".format(name, **found[key]) for key, name in names.items()]
+    return _table(" | median of the first quarter | of the last one", rows, "long-window")
+
+
 def remote() -> str:
     """What masks and discs cost and show over a slow network, and what hostile clients do to the server."""
     form = """\
@@ -568,6 +605,9 @@ _MADE = (
     raster,
     window,
     late_warp,
+    watching,
+    relearning,
+    long_window,
     remote,
     stored,
     colmap,

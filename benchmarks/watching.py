@@ -108,9 +108,7 @@ def _rates(scene: str) -> dict[str, float]:
     return found
 
 
-def _judges(
-    scene: hybrid.Scene, folder: Path, place: Camera | None = None
-) -> Callable[[SceneSource], float]:
+def _judges(scene: hybrid.Scene, folder: Path, place: Camera | None = None) -> Callable[[SceneSource], float]:
     cameras = NearRegion(scene, scene.surfaces(), place).unseen_views(_VIEWS, _SIDE, _SIDE, 0)
     judges = Judges(folder, Tracer(scene), cameras, [0.0] * _VIEWS, no_progress)
     return lambda source: judges.quality(source.renderer.periphery.forest)["psnr"]
@@ -148,7 +146,8 @@ def _elsewhere(folder: Path) -> list[dict[str, float]]:
     pose[:3, :3] = turned(pose[:3, :3], _TURN, 0.0)
     place = scene.camera.at(pose)
     judges = [_judges(scene, folder / name, camera) for name, camera in (("home", None), ("place", place))]
-    source, rows = _source("room", True), []
+    source = _source("room", True)
+    rows: list[dict[str, float]] = []
     _watch(source, _LEARNT)
     for seconds in _STAYED:
         _watch(source, seconds - (rows[-1]["seconds"] if rows else 0.0), place)
