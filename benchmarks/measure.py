@@ -44,8 +44,7 @@ _LEVELS = {
     "levels": "python -m benchmarks.levels {0} --forest {1}-levels.forest",
 }
 # Words of the commands whose JSON is kept: of `hybrid` or of a module of Python. Forests lie in the working
-# folder, and so do the scenes of `benchmarks.hard_scenes`; VISION stands for the folder of data about people's
-# vision, the words of OTHERS for scene files.
+# folder, and so do the scenes of `benchmarks.hard_scenes`; VISION stands for the data about people's vision.
 MEASUREMENTS = {
     "quickstart": "hybrid quickstart room --out out",
     "prepare-room": "hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5",

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -223,7 +224,8 @@ class Planner:
     def go_on(self, stages: Sequence[Stage], is_elsewhere: bool) -> None:
         """Goes on after stages of another preparation, first with what is new; see `going_on`."""
         self.stages, self.taken_over = list(stages), sum(stage.views for stage in stages)
-        self.journal.once(f"stage {len(stages)}", lambda: asdict(going_on(stages, is_elsewhere)))
+        for number, stage in enumerate(going_on(stages, is_elsewhere), len(stages)):
+            self.journal.once(f"stage {number}", partial(asdict, stage))
 
     @property
     def planned(self) -> int:

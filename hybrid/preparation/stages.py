@@ -104,8 +104,8 @@ STAGES = (
 )
 
 
-# Steps in which what has changed is learnt, and those for a new place.
-_RELEARNT, _NEW_PLACE = 200, 150
+# Steps in which what has changed is learnt, the first ones for somebody who waits; those for a new place.
+_RELEARNT, _NEW_PLACE = (60, 240), 150
 
 
 def places_of(stages: Sequence[Stage]) -> int:
@@ -118,17 +118,17 @@ def planned_among(stages: Sequence[Stage]) -> int:
     return sum(not stage.extra for stage in stages)
 
 
-def going_on(before: Sequence[Stage], is_elsewhere: bool) -> Stage:
+def going_on(before: Sequence[Stage], is_elsewhere: bool) -> list[Stage]:
     """What a preparation does first that goes on from the stages of another one.
 
     That is to learn what has changed in their frames, or what views from elsewhere show.
     """
-    last, first, places = before[-1], STAGES[0], places_of(before)
+    last, places = before[-1], places_of(before)
     if not is_elsewhere:
-        return replace(last, views=0, steps=_RELEARNT, extra=True)
+        return [replace(last, views=0, steps=steps, extra=True) for steps in _RELEARNT]
     gaussians = round(last.gaussians * ((places + 1) / places) ** _SURFACES)
-    views, spp = STAGES[1].views, first.spp
-    return replace(last, views=views, spp=spp, gaussians=gaussians, steps=_NEW_PLACE, extra=True)
+    new = replace(last, views=STAGES[1].views, spp=STAGES[0].spp, gaussians=gaussians)
+    return [replace(new, steps=_NEW_PLACE, extra=True)]
 
 
 # For somebody who waits for the first frame.

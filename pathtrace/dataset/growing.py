@@ -220,7 +220,7 @@ class GrowingFrames(StoredFrames):
             seen.traced(self._tracer, half, before.samples[number] // 2, (seed + step) % 2**32)
             for half, step in zip(before.halves(number), (0, _HALF_SEED_STEP), strict=True)
         ]
-        return halves, seen.framed(before.radiance(number), halves[0].mixed(halves[1], 0.5))
+        return halves, seen.framed(self._tracer, before.radiance(number), halves[0].mixed(halves[1], 0.5))
 
     def _grown(self, index: int, view: Wanted, before: dict[str, Any] | None) -> dict[str, Any]:
         """Traces and writes what a view lacks; files of this pass that are there already are kept."""
