@@ -259,6 +259,9 @@ class _Job:
     def _trace(self, frames: GrowingFrames, before: Forest | None) -> None:
         """Traces the frames of a stage; the first of them tell how many there can be."""
         stages, number = self.planner.stages, self.planner.number
+        if stages[-1].extra and not stages[-1].views:
+            # What has changed in the frames that there are was traced when they were taken over.
+            return
         views = self._views(stages, frames)
         if self.planner.is_to_fit:
             with self.bars("first frames (samples)") as bar:
