@@ -208,9 +208,9 @@ class Planner:
     def __init__(self, settings: PreparationSettings, journal: Journal, clock: JobClock, needs: Needs):
         self._settings, self.journal, self.clock = settings, journal, clock
         self._needs = Needs(**journal[_NEEDS]) if _NEEDS in journal else needs
-        # Those begun, and the views of those that another preparation has done.
+        # Those begun, the views of those that another preparation has done, and how many are extra.
         self.stages: list[Stage] = []
-        self.taken_over = 0
+        self.taken_over = self._extra = 0
 
     def begin(self, curve: list[dict[str, Any]]) -> bool:
         """Begins the next stage, unless the last one was enough by the curve of held-out quality so far."""
@@ -224,14 +224,15 @@ class Planner:
     def go_on(self, stages: Sequence[Stage], is_elsewhere: bool) -> None:
         """Goes on after stages of another preparation, first with what is new; see `going_on`."""
         self.stages, self.taken_over = list(stages), sum(stage.views for stage in stages)
-        for number, stage in enumerate(going_on(stages, is_elsewhere), len(stages)):
+        new = going_on(stages, is_elsewhere)
+        for number, stage in enumerate(new, len(stages)):
             self.journal.once(f"stage {number}", partial(asdict, stage))
+        self._extra = len(stages) - planned_among(stages) + len(new)
 
     @property
     def planned(self) -> int:
         """Stages that are planned, if none is found to be enough."""
-        extra = len(self.stages) - planned_among(self.stages)
-        return max(len(self.stages), len(self._settings.stages) + extra)
+        return max(len(self.stages), len(self._settings.stages) + self._extra)
 
     @property
     def number(self) -> int:

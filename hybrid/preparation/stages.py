@@ -47,6 +47,7 @@ class Stage:
     steps: int  # of the optimizer, over all layers
     breadth: float = 1.0  # of the region that it is for
     extra: bool = False  # beside those that are planned
+    opens: bool = False  # the first one with views of another place
 
     @property
     def whole(self) -> int:
@@ -104,13 +105,14 @@ STAGES = (
 )
 
 
-# Steps in which what has changed is learnt, the first ones for somebody who waits; those for a new place.
-_RELEARNT, _NEW_PLACE = (60, 240), 150
+# Steps in which what has changed is learnt, and views and steps for another place: first a little, for
+# somebody who waits.
+_RELEARNT, _NEW_PLACE = (60, 240), ((8, 60), (16, 150))
 
 
 def places_of(stages: Sequence[Stage]) -> int:
-    """Places whose surroundings the views of stages show: that of the region, and those of extra stages."""
-    return 1 + sum(stage.extra and stage.views > 0 for stage in stages)
+    """Places whose surroundings the views of stages show, one at least."""
+    return 1 + sum(stage.opens for stage in stages)
 
 
 def planned_among(stages: Sequence[Stage]) -> int:
@@ -127,8 +129,11 @@ def going_on(before: Sequence[Stage], is_elsewhere: bool) -> list[Stage]:
     if not is_elsewhere:
         return [replace(last, views=0, steps=steps, extra=True) for steps in _RELEARNT]
     gaussians = round(last.gaussians * ((places + 1) / places) ** _SURFACES)
-    new = replace(last, views=STAGES[1].views, spp=STAGES[0].spp, gaussians=gaussians)
-    return [replace(new, steps=_NEW_PLACE, extra=True)]
+    new = replace(last, spp=STAGES[0].spp, gaussians=gaussians, extra=True)
+    return [
+        replace(new, views=views, steps=steps, opens=number == 0)
+        for number, (views, steps) in enumerate(_NEW_PLACE)
+    ]
 
 
 # For somebody who waits for the first frame.

@@ -260,7 +260,7 @@ def test_learning_goes_on_where_it_was(tiny):
     place, before = scene.camera.at(pose).key.hex(), newest_job(scene)
     assert before is not None
     there = learn(Task(str(newest_forest(scene)), job=str(before.folder), place=place))
-    assert "after stage 4 of 4" in there[0][0]
+    assert "after stage 4 of 5" in there[0][0]
     found = newest_job(scene)
     assert found is not None
     assert found.folder.parent == before.folder.parent
