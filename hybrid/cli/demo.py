@@ -60,7 +60,8 @@ def demo(
     learning: Annotated[
         bool,
         o.viewer(
-            "--learning/--no-learning", help="Learn what was not prepared, and what changes, meanwhile."
+            "--learning/--no-learning",
+            help="Learn what was not prepared, what changes, and where you stay, meanwhile.",
         ),
     ] = True,
     latency: Annotated[
