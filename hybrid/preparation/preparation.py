@@ -198,8 +198,9 @@ class _Job:
             if before is None or not before.stages:
                 return None
             try:
+                views = sum(stage["views"] for stage in before.stages)
                 with self.bars("frames of before (views)") as bar:
-                    is_taken = frames.take_over(StoredFrames(before.folder / FRAMES), bar)
+                    is_taken = frames.take_over(StoredFrames(before.folder / FRAMES), views, bar)
             except UserError as error:
                 _LOG.warning("%s; begun anew", error)
                 return None

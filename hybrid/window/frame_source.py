@@ -14,7 +14,6 @@ from compose.camera.camera import Camera
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import PassClock, SpareMemory
 from hybrid.base.progress import Progress, bars_of
-from hybrid.preparation.earlier_jobs import newest_job
 from hybrid.preparation.preparation import prepare, with_forest
 from hybrid.preparation.scene_plan import as_stored, with_plan_of
 from hybrid.preparation.stages import GLIMPSE, PreparationSettings
@@ -150,9 +149,7 @@ class SceneSource:
             save_forest(self._forest, forest)
             self.renderer = LiveRenderer(scene, forest)
             self._last = self._converging = None
-            job = newest_job(before)
-            folder = None if job is None else str(job.folder)
-            self._watched.learn(Task(str(self._forest), True, folder, self._viewer.place))
+            self._watched.learn(Task.after(before, self._forest, self._viewer.place, urgent=True))
             return True
         learnt = self._watched.learnt()
         if learnt is not None:
@@ -169,13 +166,11 @@ class SceneSource:
     def _follow(self) -> None:
         """Learns what is around a viewer who stays where no training view is near."""
         assert self._watched is not None
-        if self._last is None or not self._watched.learns:
+        if self._last is None or self._forest is None or not self._watched.learns:
             return
-        camera, forest = self._last.frame.camera, self.renderer.periphery.forest
-        if self._viewer.stays(camera) and self._viewer.is_away(self.renderer.scene, views_of(forest)):
-            job = newest_job(self.renderer.scene)
-            folder = None if job is None else str(job.folder)
-            self._watched.learn(Task(str(self._forest), False, folder, self._viewer.settle()))
+        scene, known = self.renderer.scene, views_of(self.renderer.periphery.forest)
+        if self._viewer.stays(self._last.frame.camera) and self._viewer.is_away(scene, known):
+            self._watched.learn(Task.after(scene, self._forest, self._viewer.settle()))
 
     def close(self) -> None:
         if self._watched is not None:

@@ -88,6 +88,12 @@ class Task:
     job: str | None = None
     place: str | None = None
 
+    @staticmethod
+    def after(scene: Scene, forest: Path, place: str | None, urgent: bool = False) -> Task:
+        """To go on from a forest, and from the preparation of a scene that traced last."""
+        job = newest_job(scene)
+        return Task(str(forest), urgent, None if job is None else str(job.folder), place)
+
 
 class Learner:
     """A preparation in another process; `say` gets a line about it.

@@ -1,7 +1,7 @@
 """Frames of a scene as it was before a change: what still holds of them, and what is traced anew.
 
 A scene that was changed and loaded again does not say what is different in it. Its frames do: a small picture
-of each view as it is now, a sixteenth of the pixels, is compared with the frame tile by tile.
+of each view as it is now is compared with the frame, tile by tile.
 """
 
 from __future__ import annotations

@@ -160,19 +160,20 @@ class GrowingFrames(StoredFrames):
         for name in outdated:
             (self.folder / name).unlink(missing_ok=True)
 
-    def take_over(self, before: StoredFrames, progress: Callable[[int, int], None]) -> bool:
-        """Begins with the frames of the same scene, before it was changed if it was; False if too much has.
+    def take_over(self, before: StoredFrames, count: int, progress: Callable[[int, int], None]) -> bool:
+        """Begins with the first frames of the same scene, before it was changed if it was.
 
-        What has changed in them is traced anew, with as many samples. The other set stays as it is, and must
-        not grow meanwhile. After each view, progress is told the views done and their number. ValueError if
-        there are frames already. UserError if a file is damaged or not writable.
+        What has changed in them is traced anew, with as many samples. False if that is most of them, or if
+        there are fewer than `count`. The other set stays as it is, and must not grow meanwhile. After each
+        view, progress is told the views done and their number. ValueError if there are frames already.
+        UserError if a file is damaged or not writable.
         """
         if self._entries:
             raise ValueError("there are frames already")
         taken = False
         try:
             self._clear()
-            taken = self._take_over(before, progress)
+            taken = len(before.samples) >= count and self._take_over(before, count, progress)
         finally:
             if not taken:
                 # They would be taken for what an interrupted pass has left.
@@ -183,8 +184,8 @@ class GrowingFrames(StoredFrames):
         for file in (self.folder / _FRAMES).iterdir():
             file.unlink()
 
-    def _take_over(self, before: StoredFrames, progress: Callable[[int, int], None]) -> bool:
-        entries, is_same = before._entries, before._described["scene"]["hash"] == self.scene.hash
+    def _take_over(self, before: StoredFrames, count: int, progress: Callable[[int, int], None]) -> bool:
+        entries, is_same = before._entries[:count], before._described["scene"]["hash"] == self.scene.hash
         if not is_same and not self._is_alike(before):
             return False
         for number, entry in enumerate(entries):

@@ -65,7 +65,7 @@ def before(backend, tmp_path_factory) -> Path:
 
 def taken_over(before: Path, folder: Path, scene: dict[str, Any]) -> tuple[GrowingFrames, bool]:
     frames = GrowingFrames(folder, tracer_of(scene), Integrator.PATH.value, 3)
-    return frames, frames.take_over(StoredFrames(before), silent)
+    return frames, frames.take_over(StoredFrames(before), 2, silent)
 
 
 def looked(before: Path, scene: dict[str, Any]) -> SeenAgain:
@@ -156,6 +156,15 @@ def test_frames_of_the_same_scene_are_not_even_looked_at(before, tmp_path):
     assert StoredFrames(before).radiance(0).shape == (HEIGHT, WIDTH, 3)
 
 
+def test_only_as_many_frames_as_are_wanted_are_taken_over(before, tmp_path):
+    """A pass that was interrupted may have left more than its stage knows of."""
+    frames = GrowingFrames(tmp_path, tracer_of(small.corner()), Integrator.PATH.value, 3)
+    assert not frames.take_over(StoredFrames(before), 3, silent)
+    assert frames.take_over(StoredFrames(before), 1, silent)
+    assert frames.samples == [SPP]
+    assert len(list((tmp_path / "frames").iterdir())) == 3
+
+
 def test_where_all_has_changed_frames_begin_anew(before, tmp_path):
     lamp = small.corner()["lamp"]["emitter"] | {"radiance": {"type": "rgb", "value": 1.0}}
     _, taken = taken_over(before, tmp_path, changed_corner(lamp={"emitter": lamp}))
@@ -165,7 +174,7 @@ def test_where_all_has_changed_frames_begin_anew(before, tmp_path):
 
 def test_what_moves_begins_anew(before, tmp_path):
     frames = GrowingFrames(tmp_path / "now", Tracer(moving_corner(tmp_path)), Integrator.PATH.value, 3)
-    assert not frames.take_over(StoredFrames(before), silent)
+    assert not frames.take_over(StoredFrames(before), 2, silent)
 
 
 @extreme(
@@ -181,12 +190,12 @@ def test_frames_that_cannot_be_taken_over_leave_nothing(tmp_path, backend, got):
 
     frames = GrowingFrames(tmp_path / "now", tracer_of(moved_board()), Integrator.PATH.value, 3)
     with pytest.raises(KeyboardInterrupt):
-        frames.take_over(StoredFrames(tmp_path / "before"), interrupt)
+        frames.take_over(StoredFrames(tmp_path / "before"), 2, interrupt)
     assert not list((tmp_path / "now" / "frames").iterdir())
     file = read_frame_set(tmp_path / "before").training[1].file
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(UserError, match=file.name) as refused:
-        frames.take_over(StoredFrames(tmp_path / "before"), silent)
+        frames.take_over(StoredFrames(tmp_path / "before"), 2, silent)
     assert not list((tmp_path / "now" / "frames").iterdir())
     got(str(refused.value).replace(str(tmp_path), ""))
 
@@ -195,10 +204,11 @@ def test_frames_of_odd_sizes_begin_anew(tmp_path, backend):
     tracer = tracer_of(small.corner())
     frames = GrowingFrames(tmp_path / "before", tracer, Integrator.PATH.value, 3)
     frames.grow([Wanted(tracer.scene.camera.resized(48, 18), 2)], silent)
-    assert not taken_over(tmp_path / "before", tmp_path / "now", moved_board())[1]
+    again = GrowingFrames(tmp_path / "now", tracer_of(moved_board()), Integrator.PATH.value, 3)
+    assert not again.take_over(StoredFrames(tmp_path / "before"), 1, silent)
 
 
 def test_only_the_first_frames_can_be_taken_over(before, tmp_path):
     frames = grown(tmp_path, tracer_of(small.corner()), 1)
     with pytest.raises(ValueError, match="already"):
-        frames.take_over(StoredFrames(before), silent)
+        frames.take_over(StoredFrames(before), 2, silent)
