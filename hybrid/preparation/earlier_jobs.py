@@ -22,6 +22,7 @@ class EarlierJob:
     """A preparation, finished or not."""
 
     folder: Path
+    scene_hash: str
     region: dict[str, Any]  # identity of the region of its views
     stages: list[dict[str, Any]]  # whose frames are complete
 
@@ -40,7 +41,7 @@ def earlier_job(folder: Path) -> EarlierJob | None:
             stages = list((results.get(TAKEN_OVER) or {"stages": []})["stages"])
             while f"frame seconds {len(stages)}" in results:
                 stages.append(results[f"stage {len(stages)}"])
-            job = EarlierJob(folder, dict(identity["region"]), stages)
+            job = EarlierJob(folder, identity["scene"], dict(identity["region"]), stages)
             _ = job.place
             return job
     return None

@@ -70,13 +70,14 @@ class Beginning:
 
     Attributes:
         forest: whose finest layer to go on from.
-        job: folder of another preparation of the scene, or of the scene before it was changed, whose frames
-            are taken over: what has changed in them is traced anew. From nothing, if too much has.
+        jobs: folders of other preparations of the scene, or of the scene before it was changed. Frames are
+            taken over from the first one that has any, unless too much has changed in them: what has is
+            traced anew.
         place: near which further views are, in place of the region.
     """
 
     forest: Forest | None = None
-    job: Path | None = None
+    jobs: tuple[Path, ...] = ()
     place: Camera | None = None
 
 
@@ -193,23 +194,33 @@ class _Job:
         """Takes over what another preparation has, if this one goes on from it."""
 
         def taken() -> dict[str, Any] | None:
-            folder = self.beginning.job
-            before = None if folder is None else earlier_job(folder)
-            if before is None or not before.stages:
-                return None
-            try:
-                views = sum(stage["views"] for stage in before.stages)
-                with self.bars("frames of before (views)") as bar:
-                    is_taken = frames.take_over(StoredFrames(before.folder / FRAMES), views, bar)
-            except UserError as error:
-                _LOG.warning("%s; begun anew", error)
-                return None
-            is_elsewhere = before.region != json.loads(json.dumps(self.region.identity()))
-            return {"stages": before.stages, "elsewhere": is_elsewhere} if is_taken else None
+            found = (self._taken_over(frames, folder) for folder in self.beginning.jobs)
+            return next((one for one in found if one is not None), None)
 
         found = self.planner.journal.once(TAKEN_OVER, taken)
         if found is not None:
-            self.planner.go_on([Stage(**stage) for stage in found["stages"]], found["elsewhere"])
+            stages = [Stage(**stage) for stage in found["stages"]]
+            self.planner.go_on(stages, found["is_elsewhere"], found["is_changed"])
+
+    def _taken_over(self, frames: GrowingFrames, folder: Path) -> dict[str, Any] | None:
+        """What is taken over from a preparation, its stages and what is new; None if nothing is."""
+        before = earlier_job(folder)
+        if before is None or not before.stages:
+            return None
+        is_elsewhere = before.region != json.loads(json.dumps(self.region.identity()))
+        is_changed = before.scene_hash != self.scene.hash
+        if not is_elsewhere and not is_changed and len(before.stages) >= len(self.settings.stages):
+            # There would be nothing left to do.
+            return None
+        try:
+            views = sum(stage["views"] for stage in before.stages)
+            with self.bars("frames of before (views)") as bar:
+                if not frames.take_over(StoredFrames(folder / FRAMES), views, bar):
+                    return None
+        except UserError as error:
+            _LOG.warning("%s; not gone on from", error)
+            return None
+        return {"stages": before.stages, "is_elsewhere": is_elsewhere, "is_changed": is_changed}
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""

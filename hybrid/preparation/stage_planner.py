@@ -221,10 +221,10 @@ class Planner:
             self.stages.append(Stage(**planned))
         return bool(planned)
 
-    def go_on(self, stages: Sequence[Stage], is_elsewhere: bool) -> None:
+    def go_on(self, stages: Sequence[Stage], is_elsewhere: bool, is_changed: bool) -> None:
         """Goes on after stages of another preparation, first with what is new; see `going_on`."""
         self.stages, self.taken_over = list(stages), sum(stage.views for stage in stages)
-        new = going_on(stages, is_elsewhere)
+        new = going_on(stages, is_elsewhere, is_changed)
         for number, stage in enumerate(new, len(stages)):
             self.journal.once(f"stage {number}", partial(asdict, stage))
         self._extra = len(stages) - planned_among(stages) + len(new)

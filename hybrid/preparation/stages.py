@@ -120,14 +120,15 @@ def planned_among(stages: Sequence[Stage]) -> int:
     return sum(not stage.extra for stage in stages)
 
 
-def going_on(before: Sequence[Stage], is_elsewhere: bool) -> list[Stage]:
+def going_on(before: Sequence[Stage], is_elsewhere: bool, is_changed: bool) -> list[Stage]:
     """What a preparation does first that goes on from the stages of another one.
 
-    That is to learn what has changed in their frames, or what views from elsewhere show.
+    That is to learn what views from elsewhere show, or else what has changed in the frames that there are.
     """
     last, places = before[-1], places_of(before)
     if not is_elsewhere:
-        return [replace(last, views=0, steps=steps, extra=True) for steps in _RELEARNT]
+        steps_of = _RELEARNT if is_changed else ()
+        return [replace(last, views=0, steps=steps, extra=True) for steps in steps_of]
     gaussians = round(last.gaussians * ((places + 1) / places) ** _SURFACES)
     new = replace(last, spp=STAGES[0].spp, gaussians=gaussians, extra=True)
     return [

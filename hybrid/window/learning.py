@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, TypeAlias
 
@@ -273,17 +273,24 @@ def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
         # Another window may still be learning it, or the process before this one may not have ended yet.
         for folder in sorted(folders):
             stack.enter_context(locked(folder / "learning"))
-        prepared = prepare(scene, settings, bars, beginning=_beginning(scene, task), told=told)
+        beginning = _beginning(scene, task)
+        if task.urgent and beginning.jobs:
+            # Something of what has changed is shown soon, before the frames of before are looked through.
+            first, alone = replace(settings, quality=GLIMPSE), replace(beginning, jobs=())
+            glimpse = prepare(scene, first, bars, beginning=alone, told=told)
+            folder = Path(glimpse.facts["forest"]).parent
+            beginning = replace(beginning, forest=glimpse.forest, jobs=(*beginning.jobs, folder))
+        prepared = prepare(scene, settings, bars, beginning=beginning, told=told)
     tell("all stages are learnt", Path(prepared.facts["forest"]))
 
 
 def _beginning(scene: Scene, task: Task) -> Beginning:
     forest = None if task.start is None else load_forest(Path(task.start))
-    job = None if task.job is None else Path(task.job)
+    jobs = () if task.job is None else (Path(task.job),)
     if task.place is not None:
-        return Beginning(forest, job, Camera.of_key(bytes.fromhex(task.place)))
+        return Beginning(forest, jobs, Camera.of_key(bytes.fromhex(task.place)))
     last = newest_job(scene)
-    return Beginning(forest, job, None if last is None else last.place)
+    return Beginning(forest, jobs, None if last is None else last.place)
 
 
 def _give_way() -> None:

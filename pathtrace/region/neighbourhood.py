@@ -87,7 +87,7 @@ class Neighbourhood:
     def border(self) -> list[Camera]:
         """The scene's own camera, turned to the border of what other views see."""
         views = [_moved(self.home, np.zeros(3), x * self.share, y * self.share) for x, y in BORDER]
-        return [view for view in views if self._is_usable(view)]
+        return [view for view in views if self.is_usable(view)]
 
     def outer(self, seed: int) -> list[Camera]:
         """The same from elsewhere at the edge of the neighbourhood, where other things are hidden."""
@@ -97,7 +97,7 @@ class Neighbourhood:
             for direction in (rng.normal(size=3) for _ in range(_OUTER_TRIES)):
                 offset = direction / np.linalg.norm(direction) * self.radius
                 view = _moved(self.home, offset, x * self.share, y * self.share)
-                if self._is_usable(view):
+                if self.is_usable(view):
                     views.append(view)
                     break
         return views
@@ -111,7 +111,7 @@ class Neighbourhood:
         points = (sequence.random(1)[0] for _ in range(count * _TRIES_PER_VIEW))
         turns = lambda u: (2 * u[3:] - 1) * self.share  # noqa: E731
         views = (_moved(self.home, _in_ball(u[:3]) * self.radius, *turns(u)) for u in points)
-        found = list(islice(filter(self._is_usable, views), count))
+        found = list(islice(filter(self.is_usable, views), count))
         if len(found) < count:
             raise UserError(
                 f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
@@ -131,7 +131,7 @@ class Neighbourhood:
             offset = direction / np.linalg.norm(direction) * self.radius * rng.uniform(*_BEYOND)
             view = _moved(self.home, offset, *shares)
             distances = np.linalg.norm(apart_from - view.position, axis=1)
-            if distances.min(initial=np.inf) > self.radius / 2 and self._is_usable(view):
+            if distances.min(initial=np.inf) > self.radius / 2 and self.is_usable(view):
                 found.append(view)
             if len(found) == count:
                 break
@@ -147,11 +147,12 @@ class Neighbourhood:
                 offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
                 # It looks back to what it sees.
                 found.append(_moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0))
-            if all(map(self._is_usable, found)):
+            if all(map(self.is_usable, found)):
                 return found
         return [self.home for _ in shares]
 
-    def _is_usable(self, candidate: Camera) -> bool:
+    def is_usable(self, candidate: Camera) -> bool:
+        """Whether the camera is reached freely from the middle, and no surface is too near."""
         return (
             self.surfaces.sees(self.home.position, candidate.position)
             and self.surfaces.clearance(candidate.position) >= _CLEARANCE * self.scale
@@ -244,7 +245,7 @@ def wider(view: View) -> View:
 
 
 def is_elsewhere(scene: Scene, camera: Camera, known: Sequence[Camera]) -> bool:
-    """Whether a camera is in the neighbourhood of no known one, and has one itself."""
+    """Whether a camera is in the neighbourhood of no known one, and has space around it."""
     surfaces = scene.surfaces()
     try:
         radius = Neighbourhood(scene, surfaces, camera.width, camera.height).radius
@@ -253,10 +254,10 @@ def is_elsewhere(scene: Scene, camera: Camera, known: Sequence[Camera]) -> bool:
         alike = poses[:, :3, 2] @ camera.camera_to_world[:3, 2] >= np.cos(np.radians(BORDER[-1][0] * _YAW))
         if (is_near & alike).any():
             return False
-        NearRegion(scene, surfaces, camera).views(2 * len(BORDER), camera.width, camera.height, UNSEEN_SEED)
+        around = Neighbourhood(scene, surfaces, camera.width, camera.height, camera)
     except UserError:
         return False
-    return True
+    return around.is_usable(camera)
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:

@@ -69,7 +69,7 @@ def test_what_has_changed_is_learnt_in_the_frames_that_there_are(first, tmp_path
     """With a box elsewhere, from the forest of before; interrupted, it goes on likewise."""
     before, folder = first
     scene = changed(tmp_path, "0.35, -0.7, 0.36", "0.25, -0.7, 0.3")
-    prepared, told = gone_on(scene, Beginning(before.forest, folder), tmp_path / "now")
+    prepared, told = gone_on(scene, Beginning(before.forest, (folder,)), tmp_path / "now")
     # Two stages after the three that there were.
     assert [(one.number, one.stages) for one in told] == [(4, 5), (5, 5)]
     assert len(read_frame_set(tmp_path / "now" / "frames").training) == VIEWS
@@ -89,16 +89,21 @@ def test_the_stages_that_were_planned_follow(first, tmp_path):
     settings = replace(LIVE, quality="draft")
     scene = load_scene("cornell")
     begun = prepare(scene, settings, no_bars, short)
-    prepared, told = gone_on(scene, Beginning(begun.forest, short), tmp_path / "now")
-    assert [one.number for one in told] == [3, 4, 5]
+    prepared, told = gone_on(scene, Beginning(begun.forest, (short,)), tmp_path / "now")
+    assert [one.number for one in told] == [3]
     assert len(read_frame_set(tmp_path / "now" / "frames").training) == VIEWS
     assert abs(prepared.facts["trained_psnr"] - before.facts["trained_psnr"]) < 3
 
 
 def test_a_scene_in_another_light_is_learnt_anew(first, tmp_path):
     scene = changed(tmp_path, "30, 26, 18", "1, 0.9, 0.6")
-    _, told = gone_on(scene, Beginning(first[0].forest, first[1]), tmp_path / "now")
+    _, told = gone_on(scene, Beginning(first[0].forest, (first[1],)), tmp_path / "now")
     assert [(one.number, one.stages) for one in told] == [(1, 3), (2, 3), (3, 3)]
+    # From what was traced of it as it is, if anything was.
+    glimpse = prepare(scene, replace(LIVE, quality="glimpse"), no_bars, tmp_path / "glimpse")
+    jobs = first[1], tmp_path / "glimpse"
+    _, told = gone_on(scene, Beginning(glimpse.forest, jobs), tmp_path / "further")
+    assert [(one.number, one.stages) for one in told] == [(2, 3), (3, 3)]
 
 
 def test_another_place_is_learnt_beside_the_first_one(first, tmp_path):
@@ -108,7 +113,7 @@ def test_another_place_is_learnt_beside_the_first_one(first, tmp_path):
     place = elsewhere(scene)
     own = [entry.camera for entry in read_frame_set(folder / "frames").training]
     assert is_elsewhere(scene, place, own)
-    _, told = gone_on(scene, Beginning(before.forest, folder, place), tmp_path / "now")
+    _, told = gone_on(scene, Beginning(before.forest, (folder,), place), tmp_path / "now")
     assert [one.number for one in told] == [4, 5]
     cameras = [entry.camera for entry in read_frame_set(tmp_path / "now" / "frames").training]
     assert [camera.key for camera in cameras[:VIEWS]] == [camera.key for camera in own]
@@ -122,9 +127,9 @@ def test_another_place_is_learnt_beside_the_first_one(first, tmp_path):
     assert again is not None
     assert again.place is not None
     assert again.place.key == place.key
-    further = gone_on(scene, Beginning(before.forest, tmp_path / "now", place), tmp_path / "further")[1]
-    # There is nothing new to show near it.
-    assert [one.number for one in further] == [6, 7]
+    further = gone_on(scene, Beginning(before.forest, (tmp_path / "now",), place), tmp_path / "further")[1]
+    # There is nothing left to do near it.
+    assert [one.number for one in further] == [1, 2, 3]
     assert len(read_frame_set(tmp_path / "further" / "frames").training) == len(cameras)
 
 
@@ -154,9 +159,9 @@ def test_a_preparation_that_cannot_be_gone_on_from_is_begun_anew(first, tmp_path
     assert earlier_job(broken) is None
     (broken / JOURNAL).write_text(journal)
     (broken / "frames" / "transforms.json").write_text((folder / "frames" / "transforms.json").read_text())
-    _, told = gone_on(scene, Beginning(before.forest, broken), tmp_path / "now")
+    _, told = gone_on(scene, Beginning(before.forest, (broken,)), tmp_path / "now")
     assert got(told[0].number) == 1
-    assert "begun anew" in caplog.text
+    assert "not gone on from" in caplog.text
 
 
 def test_a_view_is_elsewhere_by_position_or_direction():

@@ -35,22 +35,23 @@ def test_after_the_last_stage_samples_double():
 
 def test_what_has_changed_is_learnt_between_the_stages():
     """In the frames that there are, with the Gaussians that there are; a little soon, then the rest."""
-    changed = going_on(STAGES[:2], is_elsewhere=False)
+    changed = going_on(STAGES[:2], False, is_changed=True)
     for stage in changed:
         assert (stage.views, stage.gaussians, stage.scale) == (0, STAGES[1].gaussians, STAGES[1].scale)
     assert changed[0].steps < changed[1].steps
     assert planned_stage([*STAGES[:2], *changed], Needs()) == STAGES[2]
+    assert going_on(STAGES[:2], False, is_changed=False) == []
 
 
 def test_another_place_has_views_and_gaussians_of_its_own():
-    second = going_on(STAGES[:2], is_elsewhere=True)
+    second = going_on(STAGES[:2], True, is_changed=False)
     assert second[0].views < second[1].views
     for stage in second:
         assert STAGES[1].gaussians < stage.gaussians < 2 * STAGES[1].gaussians
     following = planned_stage([*STAGES[:2], *second], Needs())
     assert replace(following, gaussians=STAGES[2].gaussians) == STAGES[2]
     assert following.gaussians > STAGES[2].gaussians
-    third = going_on([*STAGES[:2], *second], is_elsewhere=True)
+    third = going_on([*STAGES[:2], *second], True, is_changed=True)
     assert second[0].gaussians < third[0].gaussians < 3 * STAGES[1].gaussians
 
 

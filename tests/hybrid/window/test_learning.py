@@ -22,9 +22,10 @@ from hybrid.window import learning
 from hybrid.window.frame_source import SceneSource, prepared
 from hybrid.window.learning import Learner, SceneWatch, ShownScene, Task, Watched, forest_to_show
 from hybrid.window.messages import Request
+from pathtrace.dataset import changed_frames
 from pathtrace.scene.scene import bundled_scenes, load_scene
 from pathtrace.trace import Integrator
-from splat.io.forest_file import load_forest
+from splat.io.forest_file import load_forest, save_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import SH_DC
 from tests.extremes import extreme
@@ -53,10 +54,10 @@ def quiet(done: int, total: int, label: str) -> None:
     """Ignores progress."""
 
 
-def learn(task: Task) -> list[tuple[str, Path | None]]:
-    """What the process tells that learns the Cornell box, without those about its progress."""
+def learn(task: Task, shown: ShownScene = CORNELL) -> list[tuple[str, Path | None]]:
+    """What the process tells that learns a scene, without those about its progress."""
     told: list[tuple[str, Path | None]] = []
-    learning._learn(CORNELL, task, lambda line, forest=None: told.append((line, forest)))
+    learning._learn(shown, task, lambda line, forest=None: told.append((line, forest)))
     return [one for one in told if not one[0].startswith("learning: ")]
 
 
@@ -266,6 +267,30 @@ def test_learning_goes_on_where_it_was(tiny):
     assert found.folder.parent == before.folder.parent
     assert found.place.key.hex() == place
     assert learn(Task()) == [there[-1]]
+
+
+def test_of_a_change_a_little_is_learnt_soon_and_then_all(tiny, tmp_path, monkeypatch):
+    """The first forest comes from new frames alone, the next ones from those of before."""
+    # So few samples differ from others in every tile.
+    monkeypatch.setattr(changed_frames, "_LIGHT", 0.15)
+    scene = as_planned(load_scene("cornell"))
+    learn(Task())
+    file = tmp_path / "cornell" / "scene.xml"
+    file.parent.mkdir()
+    text = bundled_scenes()["cornell"].read_text()
+    file.write_text(text.replace("0.35, -0.7, 0.36", "0.25, -0.7, 0.3"))
+    changed = with_plan_of(load_scene(file), scene)
+    forest = replace(load_forest(newest_forest(scene)), scene_name=changed.name, scene_hash=changed.hash)
+    save_forest(tmp_path / "changed.safetensors", forest)
+    task = Task.after(scene, tmp_path / "changed.safetensors", None, urgent=True)
+    told = [line for line, _ in learn(task, ShownScene(str(file)))]
+    assert [line.split("after ")[-1].split(",")[0] for line in told] == [
+        "stage 1 of 1",
+        "stage 4 of 5",
+        "stage 5 of 5",
+        "all stages are learnt",
+    ]
+    assert len(newest_job(changed).stages) == 5
 
 
 def test_a_scene_that_moves_is_not_planned_as_one_that_stands_still(tmp_path):
