@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.base.files import read_json, write_whole
 from compose.camera.camera import RIGID_TOLERANCE, Camera
-from compose.camera.coordinate_systems import camera_from_json, camera_to_json
+from compose.camera.coordinate_systems import Place, camera_from_json, camera_to_json
 from compose.image.colour import Image
 from pathtrace.dataset.capture import described_set
 from pathtrace.dataset.captured_frames import (
@@ -204,6 +204,8 @@ class GrowingFrames(StoredFrames):
         cameras = [before.camera(number) for number in range(len(before.samples))]
         if self.scene.moving is not None or not all(map(can_be_seen_again, cameras)):
             return False
+        if _place(before._described) != _place(self._facts):
+            return False
         changed = [self._seen_again(before, number).tiles.mean() for number in before.spread(_ASKED)]
         return float(np.mean(changed)) <= _MOST_CHANGED
 
@@ -277,6 +279,11 @@ def _is_same(stored: Camera, camera: Camera) -> bool:
     tolerance[:3, 3] *= max(1.0, float(np.linalg.norm(camera.world_to_camera[:3, 3])))
     off = np.abs(stored.world_to_camera - camera.world_to_camera)
     return numbers[0] == numbers[1] and bool((off <= tolerance).all())
+
+
+def _place(described: dict[str, Any]) -> str:
+    """JSON of a frame set's coordinates, by its description."""
+    return json.dumps([described["scene"].get(part.name) for part in fields(Place)])
 
 
 def _link(link: Path, file: Path) -> None:

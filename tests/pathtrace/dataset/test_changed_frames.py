@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -206,6 +207,21 @@ def test_frames_of_odd_sizes_begin_anew(tmp_path, backend):
     frames.grow([Wanted(tracer.scene.camera.resized(48, 18), 2)], silent)
     again = GrowingFrames(tmp_path / "now", tracer_of(moved_board()), Integrator.PATH.value, 3)
     assert not again.take_over(StoredFrames(tmp_path / "before"), 1, silent)
+
+
+def test_frames_in_other_coordinates_begin_anew(backend, tmp_path):
+    """Those of a scene that has become much larger, for instance."""
+    grown(tmp_path / "before", tracer_of(small.corner()), 1)
+    description = tmp_path / "before" / "transforms.json"
+    document = json.loads(description.read_text())
+    document["scene"] |= {"origin": [0.0, 0.0, 0.0], "unit": 100.0}
+    description.write_text(json.dumps(document))
+    frames = GrowingFrames(tmp_path / "now", tracer_of(moved_board()), Integrator.PATH.value, 3)
+    assert not frames.take_over(StoredFrames(tmp_path / "before"), 1, silent)
+    document["scene"].pop("unit")
+    document["scene"].pop("origin")
+    description.write_text(json.dumps(document))
+    assert frames.take_over(StoredFrames(tmp_path / "before"), 1, silent)
 
 
 def test_only_the_first_frames_can_be_taken_over(before, tmp_path):
