@@ -253,9 +253,6 @@ class Viewer:
 
 
 def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
-    if not task.urgent:
-        _give_way()
-    select_backend(shown.backend)
     bars = bars_of(_telling(tell))
     scene = as_planned(shown.load(), bars)
     newest = newest_forest(scene)
@@ -328,15 +325,20 @@ def _main() -> None:
     # What libraries print must not mix with the lines.
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", buffering=1)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()
+    given = json.loads(sys.argv[1])
+    shown, task = ShownScene(**given["scene"]), Task(**given["task"])
+    if not task.urgent:
+        _give_way()
 
     def tell(line: str, forest: Path | None = None) -> None:
         told = {"line": line} | ({} if forest is None else {"forest": str(forest)})
         out.write(json.dumps(told) + "\n")
 
     try:
-        given = json.loads(sys.argv[1])
-        _learn(ShownScene(**given["scene"]), Task(**given["task"]), tell)
+        # Interrupted while it is loaded, a library fails.
+        select_backend(shown.backend)
+        threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()
+        _learn(shown, task, tell)
     except UserError as error:
         tell(f"learning has ended: {one_line(error)}")
     except KeyboardInterrupt:
