@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, TypeAlias
@@ -323,7 +323,7 @@ def _main() -> None:
     """Of the process; its lines are JSON with `line`, for people, and `forest`, a file."""
     logging.basicConfig(level=logging.ERROR)
     # What libraries print must not mix with the lines.
-    out = os.fdopen(os.dup(sys.stdout.fileno()), "w", buffering=1)
+    out = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     given = json.loads(sys.argv[1])
     shown, task = ShownScene(**given["scene"]), Task(**given["task"])
@@ -332,7 +332,9 @@ def _main() -> None:
 
     def tell(line: str, forest: Path | None = None) -> None:
         told = {"line": line} | ({} if forest is None else {"forest": str(forest)})
-        out.write(json.dumps(told) + "\n")
+        # A window that has ended is about to end this, too.
+        with suppress(BrokenPipeError):
+            os.write(out, (json.dumps(told) + "\n").encode())
 
     try:
         # Interrupted while it is loaded, a library fails.

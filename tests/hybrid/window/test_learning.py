@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +115,22 @@ def test_a_process_ends_with_the_window():
     learner.stop()
     assert learner._process.wait(PATIENCE) == 0
     assert not any("unexpectedly" in line for line in said.lines)
+
+
+@extreme(
+    "a window that is gone before what learns beside it has begun",
+    given="both pipes closed at once, of a scene and of one that is missing",
+    expected="an end without an error",
+)
+@pytest.mark.parametrize("shown", [CORNELL, ShownScene("no-such-scene")], ids=["a scene", "none"])
+def test_a_process_whose_window_is_gone_ends_quietly(shown, got):
+    given = json.dumps({"scene": asdict(shown), "task": asdict(Task())})
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen([sys.executable, "-m", learning.__name__, given], text=True, **pipes) as process:
+        process.stdout.close()
+        process.stdin.close()
+        assert "Traceback" not in process.stderr.read()
+        assert got(process.wait(PATIENCE)) == 0
 
 
 class FakeWatched(Watched):
