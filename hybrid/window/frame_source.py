@@ -149,7 +149,7 @@ class SceneSource:
             save_forest(self._forest, forest)
             self.renderer = LiveRenderer(scene, forest)
             self._last = self._converging = None
-            self._watched.learn(Task.after(before, self._forest, self._viewer.place, urgent=True))
+            self._watched.learn(Task.after(before, self._forest, self._viewer.place))
             return True
         learnt = self._watched.learnt()
         if learnt is not None:

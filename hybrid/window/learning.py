@@ -89,10 +89,10 @@ class Task:
     place: str | None = None
 
     @staticmethod
-    def after(scene: Scene, forest: Path, place: str | None, urgent: bool = False) -> Task:
-        """To go on from a forest, and from the preparation of a scene that traced last."""
+    def after(scene: Scene, forest: Path, place: str | None) -> Task:
+        """To go on soon from a forest, and from the preparation of a scene that traced last."""
         job = newest_job(scene)
-        return Task(str(forest), urgent, None if job is None else str(job.folder), place)
+        return Task(str(forest), True, None if job is None else str(job.folder), place)
 
 
 class Learner:
@@ -271,7 +271,7 @@ def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
         for folder in sorted(folders):
             stack.enter_context(locked(folder / "learning"))
         beginning = _beginning(scene, task)
-        if task.urgent and beginning.jobs:
+        if any(job.parent != scene_folder(scene.name, scene.hash) for job in beginning.jobs):
             # Something of what has changed is shown soon, before the frames of before are looked through.
             first, alone = replace(settings, quality=GLIMPSE), replace(beginning, jobs=())
             glimpse = prepare(scene, first, bars, beginning=alone, told=told)

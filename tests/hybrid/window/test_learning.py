@@ -247,7 +247,7 @@ def test_where_a_viewer_stays_is_learnt(own_source, monkeypatch, made):
     for _ in range(2):
         shown(walked(source, 0.2), 3.0)
     (task,) = watched.tasks
-    assert (task.start, task.urgent) == (str(made / "box.forest"), False)
+    assert (task.start, task.urgent) == (str(made / "box.forest"), True)
     assert Camera.of_key(bytes.fromhex(task.place)) == walked(source, 0.2).settings.camera
     # It is being learnt already.
     shown(walked(source, 0.22), 3.0)
@@ -301,7 +301,7 @@ def test_of_a_change_a_little_is_learnt_soon_and_then_all(tiny, tmp_path, monkey
     changed = with_plan_of(load_scene(file), scene)
     forest = replace(load_forest(newest_forest(scene)), scene_name=changed.name, scene_hash=changed.hash)
     save_forest(tmp_path / "changed.safetensors", forest)
-    task = Task.after(scene, tmp_path / "changed.safetensors", None, urgent=True)
+    task = Task.after(scene, tmp_path / "changed.safetensors", None)
     told = [line for line, _ in learn(task, ShownScene(str(file)))]
     assert [line.split("after ")[-1].split(",")[0] for line in told] == [
         "stage 1 of 1",

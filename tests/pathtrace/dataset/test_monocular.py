@@ -53,7 +53,7 @@ def test_it_goes_as_far_as_there_is_space(monkeypatch):
     for most in (1.0, 0.1, 0.0):
         monkeypatch.setattr(
             Neighbourhood,
-            "_is_usable",
+            "is_usable",
             lambda self, view, most=most: np.abs(view.position - home).max() < most * self.radius,
         )
         views = monocular_views(scene, surfaces, 9, 32, 32)
