@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import time
@@ -207,7 +206,7 @@ class _Job:
         before = earlier_job(folder)
         if before is None or not before.stages:
             return None
-        is_elsewhere = before.region != json.loads(json.dumps(self.region.identity()))
+        is_elsewhere = before.region != self.region.identity()
         is_changed = before.scene_hash != self.scene.hash
         if not is_elsewhere and not is_changed and len(before.stages) >= len(self.settings.stages):
             # There would be nothing left to do.

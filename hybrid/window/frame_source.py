@@ -168,8 +168,10 @@ class SceneSource:
         assert self._watched is not None
         if self._last is None or self._forest is None or not self._watched.learns:
             return
-        scene, known = self.renderer.scene, views_of(self.renderer.periphery.forest)
-        if self._viewer.stays(self._last.frame.camera) and self._viewer.is_away(scene, known):
+        if not self._viewer.stays(self._last.frame.camera):
+            return
+        scene = self.renderer.scene
+        if self._viewer.is_away(scene, views_of(self.renderer.periphery.forest)):
             self._watched.learn(Task.after(scene, self._forest, self._viewer.settle()))
 
     def close(self) -> None:
