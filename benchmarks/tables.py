@@ -413,11 +413,11 @@ def watching() -> str:
     """How soon a window shows a scene that nobody prepared, and what learning costs it."""
     found, form = result("watching"), "{} | {:.0f} | {:.0f} | {:.0f} | {:.0%}"
     rows = [
-        form.format(scene, seconds, *(found["ms"][scene][name] for name in ("alone", "learning")), share)
+        form.format(scene, seconds, *(found["fps"][scene][name] for name in ("alone", "learning")), share)
         for scene, seconds in found["first_frame_s"].items()
-        for share in [found["ms"][scene]["alone"] / found["ms"][scene]["learning"]]
+        for share in [found["fps"][scene]["learning"] / found["fps"][scene]["alone"]]
     ]
-    header = "scene | first frame after, s | frame alone, ms | beside learning, ms | rate kept"
+    header = "scene | first frame after, s | frames a second alone | beside learning | rate kept"
     return _table(header, rows, "watching")
 
 

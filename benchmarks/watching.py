@@ -12,12 +12,12 @@ import argparse
 import math
 import os
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,6 @@ from pathtrace.trace.tracer import Tracer
 _SIZE = 640, 480
 # Seconds for which the rate is measured, and for which `room` learns before it changes.
 _RATED, _LEARNT = 20.0, 90.0
-# Seconds within which a process that learns ends.
-_REST = 10.0
 # Views that judge the periphery, and their side in pixels.
 _VIEWS, _SIDE = 4, 128
 # Where a viewer goes: ahead, in median distances of what the scene's own camera sees, and turned, in degrees;
@@ -76,12 +74,20 @@ def _source(scene: str, learns: bool) -> SceneSource:
     return prepared(ShownScene(scene), None, learns, INTERACTIVE, no_progress, lambda line: None)
 
 
+def _close(source: SceneSource) -> None:
+    """Closes it, and waits until the process that learns has saved what it has."""
+    source.close()
+    with suppress(ChildProcessError):
+        while True:
+            os.wait()
+
+
 def _first(scene: str) -> None:
     """What a process does whose first frame is timed."""
     source = _source(scene, True)
     source.show(Request(replace(INTERACTIVE, camera=source.camera.resized(*_SIZE))), quick=True)
     print("shown", flush=True)
-    source.close()
+    _close(source)
 
 
 def _first_frame_seconds(scene: str) -> float:
@@ -90,21 +96,17 @@ def _first_frame_seconds(scene: str) -> float:
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        seconds = time.perf_counter() - start
-    # What was begun to be learnt is saved meanwhile.
-    time.sleep(_REST)
-    return seconds
+        return time.perf_counter() - start
 
 
 def _rates(scene: str) -> dict[str, float]:
-    """Median milliseconds of frames without learning and beside it."""
+    """Frames per second without learning and beside it."""
     found = {}
     for name, learns in (("alone", False), ("learning", True)):
         source = _source(scene, learns)
         _watch(source, 3.0)
-        found[name] = statistics.median(_watch(source, _RATED))
-        source.close()
-        time.sleep(_REST)
+        found[name] = len(_watch(source, _RATED)) / _RATED
+        _close(source)
     return found
 
 
@@ -134,7 +136,7 @@ def _changes(folder: Path) -> dict[str, dict[str, float]]:
         after = judge(source)
         _watch(source, seconds - (time.perf_counter() - start))
         found[name] = {"before": before, "unlearnt": after, "seconds": seconds, "learnt": judge(source)}
-    source.close()
+    _close(source)
     return found
 
 
@@ -153,7 +155,7 @@ def _elsewhere(folder: Path) -> list[dict[str, float]]:
         _watch(source, seconds - (rows[-1]["seconds"] if rows else 0.0), place)
         home, there = (judge(source) for judge in judges)
         rows.append({"seconds": seconds, "home": home, "place": there})
-    source.close()
+    _close(source)
     return rows
 
 
@@ -166,13 +168,13 @@ def main() -> None:
     select_backend()
     if given.first:
         return _first(given.first)
-    found: dict[str, Any] = {"first_frame_s": {}, "ms": {}}
+    found: dict[str, Any] = {"first_frame_s": {}, "fps": {}}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for number, scene in enumerate(given.scenes):
             os.environ["HYBRID_HOME"] = f"{folder}/{number}"
             name = Path(scene).parent.name or scene
             found["first_frame_s"][name] = _first_frame_seconds(scene)
-            found["ms"][name] = _rates(scene)
+            found["fps"][name] = _rates(scene)
         os.environ["HYBRID_HOME"] = f"{folder}/changes"
         found["changes"] = _changes(Path(folder))
         os.environ["HYBRID_HOME"] = f"{folder}/elsewhere"

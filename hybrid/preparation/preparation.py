@@ -290,7 +290,7 @@ class _Job:
         with self.bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
 
-    def _views(self, stages: Sequence[Stage], frames: GrowingFrames) -> list[tuple[Camera, int]]:
+    def _views(self, stages: Sequence[Stage], frames: GrowingFrames) -> list[tuple[Camera, float]]:
         with self.bars(f"stage {len(stages)}: choosing views") as bar:
             bar(0, sum(stage.views for stage in stages))
             had = [frames.camera(number) for number in range(len(frames.samples))]
@@ -305,6 +305,9 @@ class _Job:
         # More layers than the display tells apart are none that a frame draws; the first frames show one.
         layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
         seed = self.settings.seed + number
+        if number and stage.views > sum(one.views for one in self.planner.stages[:-1]):
+            # Most of what the frames show is new: it is learnt sooner from them alone.
+            before = None
         settings = planned_settings(
             frames, iterations=self.planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
         )

@@ -37,7 +37,7 @@ def stage_views(
     seed: int,
     had: Sequence[Camera] = (),
     elsewhere: int = 0,
-) -> list[tuple[Camera, int]]:
+) -> list[tuple[Camera, float]]:
     """All views of some stages, each with its scale; first those that there are already.
 
     As many of these as are `elsewhere` are none of the region's. Views larger than a frame may be are cut to
@@ -60,7 +60,7 @@ def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
 
 
 def wanted_of(
-    frames: GrowingFrames, views: list[tuple[Camera, int]], stage: Stage, forest: Forest | None
+    frames: GrowingFrames, views: list[tuple[Camera, float]], stage: Stage, forest: Forest | None
 ) -> list[Wanted]:
     """The samples that all views, given with their scales, get in a stage.
 

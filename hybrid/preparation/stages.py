@@ -41,7 +41,7 @@ class Stage:
     """What is added, and how long is trained on all that there is."""
 
     views: int  # new ones
-    scale: int  # resolution of these, in units of a view of SIDE x SIDE; 1, 2 or 4
+    scale: float  # resolution of these, in units of a view of SIDE x SIDE
     spp: int  # samples per pixel that views at scale 1 have afterwards; those with smaller pixels have fewer
     gaussians: int  # in the finest layer at the end
     steps: int  # of the optimizer, over all layers
@@ -52,7 +52,7 @@ class Stage:
     @property
     def whole(self) -> int:
         """Side in pixels that a whole view has at the resolution of the new frames."""
-        return SIDE * self.scale
+        return round(SIDE * self.scale)
 
     @property
     def side(self) -> int:
@@ -64,10 +64,10 @@ class Stage:
         """Layers of the forest after this stage; the coarsest shows a whole view in about 64 pixels."""
         return max(1, (self.whole // _COARSEST).bit_length())
 
-    def spp_at(self, scale: int) -> int:
+    def spp_at(self, scale: float) -> int:
         """Samples per pixel that views at some scale are worth in this stage; 0 where no more are."""
         # Frames of far larger pixels hardly matter for what the new ones show.
-        return max(LEAST_SPP, self.spp // scale**2) if 2 * scale >= self.scale else 0
+        return max(LEAST_SPP, int(self.spp / scale**2)) if 2 * scale >= self.scale else 0
 
     def for_needs(self, needs: Needs) -> Stage:
         """The stage for a region and a scene other than those it is described for.
@@ -137,8 +137,8 @@ def going_on(before: Sequence[Stage], is_elsewhere: bool, is_changed: bool) -> l
     ]
 
 
-# For somebody who waits for the first frame.
-_FIRST_LOOK = Stage(views=8, scale=1, spp=4, gaussians=20_000, steps=60)
+# For somebody who waits for the first frame: as many views as show the border, with few pixels.
+_FIRST_LOOK = Stage(views=12, scale=0.75, spp=2, gaussians=30_000, steps=60)
 # A first look alone, and all stages after one.
 GLIMPSE, LIVE = "glimpse", "live"
 # Stages by quality.

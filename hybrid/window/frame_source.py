@@ -150,6 +150,7 @@ class SceneSource:
             self.renderer = LiveRenderer(scene, forest)
             self._last = self._converging = None
             self._watched.learn(Task.after(before, self._forest, self._viewer.place))
+            self._watched.share_threads()
             return True
         learnt = self._watched.learnt()
         if learnt is not None:
@@ -161,6 +162,7 @@ class SceneSource:
                 self.renderer = LiveRenderer(before, forest)
             self._last = self._converging = None
         self._follow()
+        self._watched.share_threads()
         return learnt is not None
 
     def _follow(self) -> None:

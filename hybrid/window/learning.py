@@ -17,6 +17,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, TypeAlias
 
+import drjit as dr
+import torch
+
 from compose.base.errors import UserError, one_line
 from compose.base.files import locked
 from compose.camera.camera import Camera
@@ -38,6 +41,8 @@ from splat.model.forest import Forest
 _LINE_EVERY, _LOOK_EVERY = 1.0, 0.5
 # Seconds for which a viewer stands still before it counts as staying.
 _STAYS = 2.0
+# Niceness of learning: of two cores that a window wants whole, a quarter to a third is left to it.
+_NICE = 4
 _Stamps: TypeAlias = dict[Path, tuple[int, int]]
 
 
@@ -77,8 +82,7 @@ class Task:
 
     Attributes:
         start: file of the forest to go on from.
-        urgent: whether it takes as much time as the window until there is a better forest, rather than time
-            that nobody needs.
+        urgent: whether the window leaves half of its threads to it until there is a better forest.
         job: folder of the preparation whose frames are taken over; see `Beginning`.
         place: `Camera.key` of where it learns, in hexadecimal digits; by default, where it last did.
     """
@@ -98,11 +102,13 @@ class Task:
 class Learner:
     """A preparation in another process; `say` gets a line about it.
 
-    `forests` has the newest forest, of which better ones follow.
+    `forests` has the newest forest, of which better ones follow. It `is_awaited` until there is the first one
+    of an urgent task.
     """
 
     def __init__(self, scene: ShownScene, task: Task, say: Callable[[str], object]):
         self.forests: Newest[tuple[Path, Forest]] = Newest()
+        self.is_awaited = task.urgent
         self._say, self._ending = say, False
         given = json.dumps({"scene": asdict(scene), "task": asdict(task)})
         self._process = subprocess.Popen(
@@ -130,7 +136,9 @@ class Learner:
             if "forest" in told:
                 path = Path(told["forest"])
                 self.forests.put((path, load_forest(path)))
+                self.is_awaited = False
             self._say(told["line"])
+        self.is_awaited = False
         code = self._process.wait()
         if code and not self._ending:
             self._say(f"learning has ended unexpectedly, with code {code}")
@@ -185,6 +193,7 @@ class Watched:
         self._scene, self._learns, self._say = scene, learns, say
         self._files = SceneWatch(scene.source)
         self._learner: Learner | None = None
+        self._threads = dr.thread_count()
 
     @property
     def learns(self) -> bool:
@@ -205,17 +214,27 @@ class Watched:
         """The scene if its files have changed; None if they have not, or cannot be read, which is said."""
         if not self._files.changed():
             return None
+        # As in `_learn`.
+        dr.set_thread_count(self._threads)
         try:
             return self._scene.load()
         except UserError as error:
             self._say(f"{one_line(error)}; shown as it was")
             return None
 
+    def share_threads(self) -> None:
+        """Draws with as many threads as an awaited forest leaves, or with all."""
+        is_awaited = self._learner is not None and self._learner.is_awaited
+        count = self._threads - (_share_of(self._threads) if is_awaited else 0)
+        if count != dr.thread_count():
+            dr.set_thread_count(count)
+
     def stop(self) -> None:
         """Ends learning."""
         if self._learner is not None:
             self._learner.stop()
             self._learner = None
+            self.share_threads()
 
 
 class Viewer:
@@ -255,6 +274,10 @@ class Viewer:
 def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
     bars = bars_of(_telling(tell))
     scene = as_planned(shown.load(), bars)
+    # Loaded with all: with a single thread, Mitsuba would read some files for ever.
+    threads = _share_of(dr.thread_count())
+    dr.set_thread_count(threads)
+    torch.set_num_threads(threads)
     newest = newest_forest(scene)
     if newest is not None and not newest.name.startswith(LIVE):
         return tell("prepared earlier", newest)
@@ -262,7 +285,6 @@ def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
     def told(staged: Staged) -> None:
         took = f"stage {staged.number} of {staged.stages}, {staged.seconds:.0f} s"
         tell(f"learnt: {staged.psnr:.1f} dB in training frames after {took}", staged.forest)
-        _give_way()
 
     settings = PreparationSettings(quality=LIVE, held_out=0)
     folders = {scene_folder(scene.name, scene.hash)} | ({Path(task.job).parent} if task.job else set())
@@ -290,15 +312,24 @@ def _beginning(scene: Scene, task: Task) -> Beginning:
     return Beginning(forest, jobs, None if last is None else last.place)
 
 
-def _give_way() -> None:
-    """Leaves this process the time that no other one wants.
+def _share_of(threads: int) -> int:
+    """How many of a processor's threads learn, beside others that draw.
 
-    At the lowest priority without it, frames beside it took twice as long; with it, a third to half longer.
+    On two cores, a second one saves a fifth of the time alone, and beside a window costs as much.
     """
-    if hasattr(os, "SCHED_IDLE"):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    else:
-        os.nice(19)
+    return max(1, threads // 2)
+
+
+def _give_way() -> None:
+    """Lets this process have less time than others.
+
+    Linux may schedule processes in groups, one for each of `setsid` ("autogroups" in sched(7)): priorities
+    are compared in a group, and groups by a priority of their own. Without it, processes share equally,
+    whatever their priorities are.
+    """
+    os.nice(_NICE)
+    with suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(_NICE))
 
 
 def _telling(tell: Callable[..., None]) -> Progress:
@@ -327,8 +358,7 @@ def _main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     given = json.loads(sys.argv[1])
     shown, task = ShownScene(**given["scene"]), Task(**given["task"])
-    if not task.urgent:
-        _give_way()
+    _give_way()
 
     def tell(line: str, forest: Path | None = None) -> None:
         told = {"line": line} | ({} if forest is None else {"forest": str(forest)})

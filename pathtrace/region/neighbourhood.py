@@ -38,7 +38,7 @@ _SWAYS, _LOOKS_BACK = (0.7, 0.4, 0.2, 0.1, 0.05), 0.4
 # Unlikely to be the seed of a training.
 UNSEEN_SEED = 7919
 # Views between the scene's own camera and those at the border, which few views can do without.
-_BEFORE_BORDER = 7
+_BEFORE_BORDER = 3
 # The same, before such from elsewhere than the scene's own camera.
 _BEFORE_OUTER = 15
 _OUTER_TRIES = 20

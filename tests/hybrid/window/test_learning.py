@@ -10,6 +10,7 @@ import threading
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -65,9 +66,12 @@ def learn(task: Task, shown: ShownScene = CORNELL) -> list[tuple[str, Path | Non
 
 
 @pytest.fixture(autouse=True)
-def keeps_its_time(monkeypatch):
-    """This process could not take back that it gives way."""
-    monkeypatch.setattr(learning, "_give_way", lambda: None)
+def keeps_its_threads():
+    """This process, which learns here, goes on with as many."""
+    of_dr, of_torch = dr.thread_count(), torch.get_num_threads()
+    yield
+    dr.set_thread_count(of_dr)
+    torch.set_num_threads(of_torch)
 
 
 @pytest.fixture
@@ -106,6 +110,31 @@ def test_a_process_says_why_it_has_ended():
     learner.stop()
     assert said.lines[0].startswith("learning has ended: no-such-scene: no such scene")
     assert learner.forests.take() is None
+
+
+@pytest.mark.parametrize(("threads", "left"), [(2, 1), (3, 2), (8, 4)])
+def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, left):
+    """Until it is there, or learning ends."""
+    dr.set_thread_count(threads)
+    watched = Watched(CORNELL, True, lambda line: None)
+
+    class Learning:
+        is_awaited = True
+
+        def __init__(self, *given):
+            pass
+
+        def stop(self):
+            pass
+
+    monkeypatch.setattr(learning, "Learner", Learning)
+    for is_over in (lambda: setattr(watched._learner, "is_awaited", False), watched.stop):
+        watched.learn(Task(urgent=True))
+        watched.share_threads()
+        assert dr.thread_count() == left
+        is_over()
+        watched.share_threads()
+        assert dr.thread_count() == threads
 
 
 def test_a_process_ends_with_the_window():
@@ -151,6 +180,9 @@ class FakeWatched(Watched):
 
     def learn(self, task):
         self.tasks.append(task)
+
+    def share_threads(self):
+        pass
 
 
 @pytest.fixture
