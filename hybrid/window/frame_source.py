@@ -150,7 +150,6 @@ class SceneSource:
             self.renderer = LiveRenderer(scene, forest)
             self._last = self._converging = None
             self._watched.learn(Task.after(before, self._forest, self._viewer.place))
-            self._watched.share_threads()
             return True
         learnt = self._watched.learnt()
         if learnt is not None:

@@ -205,6 +205,7 @@ class Watched:
         self.stop()
         if self._learns:
             self._learner = Learner(self._scene, task, self._say)
+            self.share_threads()
 
     def learnt(self) -> tuple[Path, Forest] | None:
         """A better forest and its file, if there is one that was not taken yet."""
@@ -369,6 +370,8 @@ def _main() -> None:
     try:
         # Interrupted while it is loaded, a library fails.
         select_backend(shown.backend)
+        # Where a window was started in the background, Ctrl-C is ignored, and by what it starts.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()
         _learn(shown, task, tell)
     except UserError as error:

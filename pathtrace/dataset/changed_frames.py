@@ -37,11 +37,18 @@ Bits = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class SeenAgain:
-    """A view of before as it is now: which of its tiles, (rows, columns), have changed, and their side."""
+    """A view of before as it is now.
+
+    Attributes:
+        tiles: (rows, columns) which of its tiles have changed.
+        side: of a tile, in pixels.
+        share: of tiles with a surface or a change, those that have changed; 0 if there are none.
+    """
 
     camera: Camera
     tiles: Bits
     side: int
+    share: float
 
     @property
     def pixels(self) -> Bits:
@@ -92,7 +99,9 @@ def seen_again(tracer: Tracer, camera: Camera, frame: CapturedFrame, seed: int) 
     moved = _means(_moved(tracer, camera, frame.depth, coarser)[..., None], _OF_A_TILE)[..., 0]
     changed |= moved > _SHARE
     tiles = binary_dilation(changed) if changed.any() else changed
-    return SeenAgain(camera, tiles, _OF_A_TILE * coarser)
+    side = _OF_A_TILE * coarser
+    asked = tiles | (_means(np.isfinite(frame.depth)[..., None], side)[..., 0] > 0)
+    return SeenAgain(camera, tiles, side, tiles.sum() / max(asked.sum(), 1))
 
 
 def _coarser(camera: Camera) -> int:

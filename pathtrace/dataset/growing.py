@@ -206,7 +206,7 @@ class GrowingFrames(StoredFrames):
             return False
         if _place(before._described) != _place(self._facts):
             return False
-        changed = [self._seen_again(before, number).tiles.mean() for number in before.spread(_ASKED)]
+        changed = [self._seen_again(before, number).share for number in before.spread(_ASKED)]
         return float(np.mean(changed)) <= _MOST_CHANGED
 
     def _seen_again(self, before: StoredFrames, number: int) -> SeenAgain:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -130,16 +131,20 @@ def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, left):
     monkeypatch.setattr(learning, "Learner", Learning)
     for is_over in (lambda: setattr(watched._learner, "is_awaited", False), watched.stop):
         watched.learn(Task(urgent=True))
-        watched.share_threads()
         assert dr.thread_count() == left
         is_over()
         watched.share_threads()
         assert dr.thread_count() == threads
 
 
-def test_a_process_ends_with_the_window():
-    said = Said()
-    learner = Learner(CORNELL, Task(), said)
+@pytest.mark.parametrize("ctrl_c", [signal.default_int_handler, signal.SIG_IGN])
+def test_a_process_ends_with_the_window(ctrl_c):
+    """Shells have what they start in the background ignore Ctrl-C."""
+    said, before = Said(), signal.signal(signal.SIGINT, ctrl_c)
+    try:
+        learner = Learner(CORNELL, Task(), said)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert said.heard.wait(PATIENCE)
     learner.stop()
     assert learner._process.wait(PATIENCE) == 0
