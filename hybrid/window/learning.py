@@ -215,8 +215,6 @@ class Watched:
         """The scene if its files have changed; None if they have not, or cannot be read, which is said."""
         if not self._files.changed():
             return None
-        # As in `_learn`.
-        dr.set_thread_count(self._threads)
         try:
             return self._scene.load()
         except UserError as error:
@@ -226,7 +224,7 @@ class Watched:
     def share_threads(self) -> None:
         """Draws with as many threads as an awaited forest leaves, or with all."""
         is_awaited = self._learner is not None and self._learner.is_awaited
-        count = self._threads - (_share_of(self._threads) if is_awaited else 0)
+        count = max(1, self._threads - _share_of(self._threads)) if is_awaited else self._threads
         if count != dr.thread_count():
             dr.set_thread_count(count)
 
@@ -274,11 +272,10 @@ class Viewer:
 
 def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
     bars = bars_of(_telling(tell))
-    scene = as_planned(shown.load(), bars)
-    # Loaded with all: with a single thread, Mitsuba would read some files for ever.
     threads = _share_of(dr.thread_count())
     dr.set_thread_count(threads)
     torch.set_num_threads(threads)
+    scene = as_planned(shown.load(), bars)
     newest = newest_forest(scene)
     if newest is not None and not newest.name.startswith(LIVE):
         return tell("prepared earlier", newest)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import ctypes.util
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from compose.base.startup import MINIMUM_LLVM, Llvm
 
 LLVM_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
+# Mitsuba reads EXR files in Dr.Jit's threads; with one, which is the caller, it would wait for ever.
 _FEWEST_THREADS = 2
 
 
@@ -54,6 +57,19 @@ def select_backend(choice: str = "auto") -> Backend:
     return _selected
 
 
+@contextmanager
+def threads_to_read() -> Iterator[None]:
+    """Has as many threads as it takes to read files, if fewer were chosen meanwhile."""
+    import drjit as dr
+
+    before = dr.thread_count()
+    dr.set_thread_count(max(before, _FEWEST_THREADS))
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)
+
+
 def require_backend() -> None:
     """UserError where nothing can be traced: in a fork, or if Mitsuba's variant is another one by now."""
     _require_own_process()
@@ -85,7 +101,6 @@ def _select(choice: str) -> Backend:
     mi.file_resolver().prepend(str(Path(mi.__file__).parent))  # type: ignore[operator]  # a function
     # More talkative levels deadlock with a second thread in Dr.Jit 1.5.
     dr.set_log_level(dr.LogLevel.Warn)
-    # Mitsuba reads EXR files in Dr.Jit's threads; with one, which is the caller, it would wait for ever.
     if dr.thread_count() < _FEWEST_THREADS:
         dr.set_thread_count(_FEWEST_THREADS)
     if choice != "llvm" and _cuda_works():

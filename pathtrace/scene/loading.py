@@ -21,6 +21,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
 from compose.camera.coordinate_systems import TYPICAL_DISTANCE, WORLD, Place
+from pathtrace.scene.backend import threads_to_read
 from pathtrace.scene.optics import camera_of_sensor, perspective_sensor
 from pathtrace.scene.scene_xml import mitsuba_folder
 from pathtrace.scene.sunsky import PLUGIN as BALANCED_SUNSKY
@@ -325,7 +326,8 @@ def _simplify(
 
 def _checked(source: Source, load: Callable[[], object]) -> mi.Scene:
     try:
-        loaded = _in_folder(source, load)
+        with threads_to_read():
+            loaded = _in_folder(source, load)
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         # Mitsuba's first lines name a position in its own code; the last ones say what is wrong.

@@ -127,7 +127,8 @@ def test_scenes_in_the_wild_load(name):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores of a process are set on Linux")
-def test_a_single_core_loads_every_bundled_scene():
+@pytest.mark.parametrize("chosen", ["", "drjit.set_thread_count(1)"])
+def test_a_single_core_loads_every_bundled_scene(chosen):
     """Mitsuba waits for threads that are not there, unless Dr.Jit is given some."""
     script = f"""
 import os
@@ -136,6 +137,8 @@ from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import bundled_scenes
 from pathtrace.scene.scene import load_scene
 select_backend()
+import drjit
+{chosen}
 print(*(load_scene(name).name for name in bundled_scenes()))
 """
     command = [sys.executable, "-c", script]
