@@ -6,10 +6,13 @@ in Dr.Jit and in torch, which wait for each other half of the time.
 Kernels are compiled without LLVM's optimizations, which took most of the time: tests launch thousands of
 kernels a few times each. They have a folder of their own, where the next run finds them, and processes that
 tests start.
+
+Shells have what they start in the background ignore Ctrl-C, and so would all processes that tests start.
 """
 
 import ctypes
 import os
+import signal
 from pathlib import Path
 
 from compose import LLVM
@@ -19,6 +22,8 @@ _worker, _count = (os.environ.get(f"PYTEST_XDIST_WORKER{part}") for part in ("",
 if _worker and _count and hasattr(os, "sched_setaffinity"):
     _cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, _cores[int(_worker.removeprefix("gw")) :: int(_count)] or _cores)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if not isinstance(LLVM, UserError):
     _options = (b"tests", b"-opt-bisect-limit=0", b"-opt-bisect-verbose=false", b"-combiner-disabled")
