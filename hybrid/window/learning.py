@@ -321,9 +321,8 @@ def _share_of(threads: int) -> int:
 def _give_way() -> None:
     """Lets this process have less time than others.
 
-    Linux may schedule processes in groups, one for each of `setsid` ("autogroups" in sched(7)): priorities
-    are compared in a group, and groups by a priority of their own. Without it, processes share equally,
-    whatever their priorities are.
+    Linux may schedule each session as a group ("autogroups" in sched(7)): priorities of processes are
+    compared in their group alone, and groups share equally unless they have priorities, too.
     """
     os.nice(_NICE)
     with suppress(OSError):
