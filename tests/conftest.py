@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -70,6 +70,16 @@ def arrays(backend):
 def each_arrays(request) -> Arrays:
     """The array types of each backend present, one after the other."""
     return Arrays(request.param)
+
+
+@pytest.fixture
+def threads() -> Iterator[Callable[[int], None]]:
+    """Sets the number of Dr.Jit's threads; it is as it was afterwards."""
+    import drjit as dr
+
+    before = dr.thread_count()
+    yield dr.set_thread_count
+    dr.set_thread_count(before)
 
 
 @pytest.fixture

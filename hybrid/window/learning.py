@@ -272,9 +272,6 @@ class Viewer:
 
 def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
     bars = bars_of(_telling(tell))
-    threads = _share_of(dr.thread_count())
-    dr.set_thread_count(threads)
-    torch.set_num_threads(threads)
     scene = as_planned(shown.load(), bars)
     newest = newest_forest(scene)
     if newest is not None and not newest.name.startswith(LIVE):
@@ -366,6 +363,9 @@ def _main() -> None:
     try:
         # Interrupted while it is loaded, a library fails.
         select_backend(shown.backend)
+        threads = _share_of(dr.thread_count())
+        dr.set_thread_count(threads)
+        torch.set_num_threads(threads)
         # Where a window was started in the background, Ctrl-C is ignored, and by what it starts.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()

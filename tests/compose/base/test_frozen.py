@@ -44,14 +44,6 @@ def test_arguments_of_other_widths_are_recorded_anew(arrays):
     assert calls == [5, 5, 8]
 
 
-@pytest.fixture
-def threads() -> Iterator[Any]:
-    """Sets the number of Dr.Jit's threads; it is as it was afterwards."""
-    before = dr.thread_count()
-    yield dr.set_thread_count
-    dr.set_thread_count(before)
-
-
 def test_sums_are_right_whatever_the_number_of_threads(arrays, threads):
     def total(values: Any) -> Any:
         sums = dr.zeros(type(values), 1)

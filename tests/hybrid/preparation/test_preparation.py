@@ -245,8 +245,9 @@ def test_stages_of_mostly_new_views_are_trained_from_these_alone(scene, tmp_path
     assert sizes == [(16, 16)] * 2 + [(32, 32)] * 6
 
 
-def test_a_preparation_goes_on_from_a_forest(scene, tmp_path, whole):
+def test_a_preparation_goes_on_from_a_forest(scene, tmp_path, monkeypatch, whole):
     """Its first stage is better than from nothing; resumed without the forest, it is the same."""
+    monkeypatch.setitem(stages.QUALITIES, "draft", (replace(STAGES[0], steps=5), STAGES[1]))
     start = whole[1].forest
     settings = replace(DRAFT, seed=3)
     told: list[Staged] = []
@@ -255,7 +256,7 @@ def test_a_preparation_goes_on_from_a_forest(scene, tmp_path, whole):
     )
     anew: list[Staged] = []
     prepare(scene, settings, no_bars, tmp_path / "anew", told=anew.append)
-    assert told[0].psnr > anew[0].psnr + 0.2
+    assert told[0].psnr > anew[0].psnr + 0.3
     for file in (tmp_path / "begun").glob("*forest*"):
         file.unlink()
     again = prepare(scene, settings, no_bars, tmp_path / "begun")

@@ -66,15 +66,6 @@ def learn(task: Task, shown: ShownScene = CORNELL) -> list[tuple[str, Path | Non
     return [one for one in told if not one[0].startswith("learning: ")]
 
 
-@pytest.fixture(autouse=True)
-def keeps_its_threads():
-    """This process, which learns here, goes on with as many."""
-    of_dr, of_torch = dr.thread_count(), torch.get_num_threads()
-    yield
-    dr.set_thread_count(of_dr)
-    torch.set_num_threads(of_torch)
-
-
 @pytest.fixture
 def tiny(monkeypatch):
     make_tiny(monkeypatch.setattr)
@@ -113,10 +104,10 @@ def test_a_process_says_why_it_has_ended():
     assert learner.forests.take() is None
 
 
-@pytest.mark.parametrize(("threads", "left"), [(2, 1), (3, 2), (8, 4)])
-def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, left):
+@pytest.mark.parametrize(("count", "left"), [(2, 1), (3, 2), (8, 4)])
+def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, count, left):
     """Until it is there, or learning ends."""
-    dr.set_thread_count(threads)
+    threads(count)
     watched = Watched(CORNELL, True, lambda line: None)
 
     class Learning:
@@ -134,7 +125,7 @@ def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, left):
         assert dr.thread_count() == left
         is_over()
         watched.share_threads()
-        assert dr.thread_count() == threads
+        assert dr.thread_count() == count
 
 
 @pytest.mark.parametrize("ctrl_c", [signal.default_int_handler, signal.SIG_IGN])
