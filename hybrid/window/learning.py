@@ -360,20 +360,21 @@ def _main() -> None:
         with suppress(BrokenPipeError):
             os.write(out, (json.dumps(told) + "\n").encode())
 
-    try:
-        # Interrupted while it is loaded, a library fails.
-        select_backend(shown.backend)
-        threads = _share_of(dr.thread_count())
-        dr.set_thread_count(threads)
-        torch.set_num_threads(threads)
-        # Where a window was started in the background, Ctrl-C is ignored, and by what it starts.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()
-        _learn(shown, task, tell)
-    except UserError as error:
-        tell(f"learning has ended: {one_line(error)}")
-    except KeyboardInterrupt:
-        pass
+    with suppress(KeyboardInterrupt):
+        try:
+            # Interrupted while it is loaded, a library fails.
+            select_backend(shown.backend)
+            threads = _share_of(dr.thread_count())
+            dr.set_thread_count(threads)
+            torch.set_num_threads(threads)
+            # Where a window was started in the background, Ctrl-C is ignored, and by what it starts.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            threading.Thread(target=_interrupt_with, args=(sys.stdin,), daemon=True).start()
+            _learn(shown, task, tell)
+        except UserError as error:
+            tell(f"learning has ended: {one_line(error)}")
+        # Told to end while it ends, libraries would print errors.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":
