@@ -90,6 +90,11 @@ class Camera:
         cx = width / 2 + (self.cx - self.width / 2) * scale
         return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
+    def seeing(self, fov: float) -> Camera:
+        """The camera with a horizontal field of view in degrees, square pixels and centred."""
+        focal = self.width / (2 * math.tan(math.radians(fov) / 2))
+        return replace(self, fx=focal, fy=focal, cx=self.width / 2, cy=self.height / 2)
+
     def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
         """The camera whose frame is a rectangle of this one, `left` and `top` in pixels."""
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)

@@ -27,6 +27,10 @@ def capture(
         int, o.measurement(help="Held-out views, to which nothing is fitted.", max=_MOST_VIEWS)
     ] = 8,
     size: o.FixedSize = (256, 256),
+    fov: Annotated[
+        float | None,
+        o.frame(help="Horizontal field of view in degrees. Default: vertically, that of the scene's camera."),
+    ] = None,
     spp: Annotated[
         int | None,
         o.frame(
@@ -72,7 +76,7 @@ def capture(
 
     with o.user_errors():
         settings = CaptureSettings(
-            views, held_out, *size, spp or FIXED_SAMPLES, held_out_spp, seed=seed, monocular=monocular
+            views, held_out, *size, spp or FIXED_SAMPLES, held_out_spp, seed, monocular, fov
         )
     o.require_size(size)
     traced = integrator_named(integrator)

@@ -22,19 +22,22 @@ from pathtrace.cache.irradiance_cache import IrradianceCache, look_up
 from pathtrace.scene.instances import FrozenWithScenes
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
+from pathtrace.trace.cached_paths import ALL_CACHED
 from pathtrace.trace.film import frame_positions, opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
 
-# Samples per pixel at which frames are timed.
-_SPP = (1, 4)
+# Samples per pixel at which frames are timed. With so many, a frame may be the mean of others' frames.
+_SPP, _MANY = (1, 4, 64, 256), 16
 # Frames of which the first of each kind is not measured, for it compiles kernels.
 _WARM_UP = 1
+# Frames of many samples: they differ little.
+_FEW = 2
 # Side in pixels of the blocks in which bias is looked for.
 BLOCK = 32
-# Samples per pixel in one pass of an image of many.
-PASS = 64
+# Samples per pixel in one pass of an image of many: all that end in the cache.
+PASS = ALL_CACHED
 # Look-ups at each point, for one alone is hidden by the start of the kernel.
 _LOOK_UPS = 32
 _REPEATS = 7
@@ -48,17 +51,18 @@ def bench_integrator(
     """Raw frames of both integrators, interleaved, against an unbiased reference.
 
     The reference, and the image that bias is measured in, have `reference_spp` samples per pixel; `repeats`
-    are measured frames per integrator and sample count. Progress counts samples per pixel.
+    are measured frames per integrator, of few samples. Progress counts samples per pixel.
 
     Returns:
         `cache` (seconds, cells, bytes, transfer_bytes, look_up_ns); `rows`, one per integrator and sample
-        count: squared_error per pixel and channel, ms, efficiency (1 / (squared error x time)) over that of
-        `path`; `bias`, one row per integrator: of the mean, and of the worst and the 95th percentile of
-        blocks of 32 x 32 pixels, as fractions. That of `path` is due to noise alone, and so are the others'
-        where they are no larger.
+        count: squared_error per pixel and channel, without that of the reference, ms, efficiency
+        (1 / (squared error x time)) over that of `path`; `bias`, one row per integrator, of samples that all
+        end in the cache: of the mean, and of the worst and the 95th percentile of blocks of 32 x 32 pixels,
+        as fractions. That of `path` is due to noise alone, and so are the others' where they are no larger.
     """
-    passes, done = -(-reference_spp // PASS), 0
-    total = 3 * passes * PASS + 2 * sum(_SPP) * (repeats + _WARM_UP)
+    half, done = -(-reference_spp // (2 * PASS)), 0
+    frames = {spp: repeats if spp < _MANY else min(repeats, _FEW) for spp in _SPP}
+    total = 6 * half * PASS + 2 * sum(spp * (frames[spp] + _WARM_UP) for spp in _SPP)
 
     def advance(samples: int) -> None:
         nonlocal done
@@ -70,11 +74,16 @@ def bench_integrator(
     facts = {"seconds": time.perf_counter() - start, "cells": len(cache.cells), "bytes": cache.bytes}
     facts |= {"transfer_bytes": cache.transfer.bytes, "look_up_ns": look_up_ns(scene, camera, cache)}
     tracers = {Integrator.PATH: Tracer(scene), Integrator.CACHED: Tracer(scene, cache=cache)}
-    truth = converged(tracers[Integrator.PATH], camera, passes, REFERENCE_SEED, advance)
-    rows = [row for spp in _SPP for row in _rows(tracers, camera, truth, spp, repeats, advance)]
+    one, other = (
+        converged(tracers[Integrator.PATH], camera, half, seed, advance)
+        for seed in (REFERENCE_SEED, REFERENCE_SEED + half)
+    )
+    truth, own_error = (one + other) / 2, float(((one - other) ** 2).mean() / 4)
+    errors = partial(_rows, tracers, camera, truth, own_error)
+    rows = [row for spp in _SPP for row in errors(spp, frames[spp], advance)]
     bias = []
     for integrator, tracer in tracers.items():
-        found = converged(tracer, camera, passes, REFERENCE_SEED + passes, advance)
+        found = converged(tracer, camera, 2 * half, REFERENCE_SEED + 2 * half, advance)
         bias.append({"integrator": integrator.value, **relative_errors(found, truth)})
     return {"cache": facts, "rows": rows, "bias": bias}
 
@@ -83,6 +92,7 @@ def _rows(
     tracers: dict[Integrator, Tracer],
     camera: Camera,
     truth: NDArray[np.float64],
+    own_error: float,
     spp: int,
     repeats: int,
     advance: Callable[[int], None],
@@ -96,14 +106,15 @@ def _rows(
             milliseconds = 1000 * (time.perf_counter() - start)
             if number >= _WARM_UP:
                 times[integrator].append(milliseconds)
-                errors[integrator].append(float(((image - truth) ** 2).mean()))
+                errors[integrator].append(float(((image - truth) ** 2).mean()) - own_error)
             advance(spp)
-    work = {one: float(np.mean(errors[one]) * np.median(times[one])) for one in tracers}
+    error = {one: max(float(np.mean(errors[one])), 0.0) for one in tracers}
+    work = {one: error[one] * float(np.median(times[one])) for one in tracers}
     return [
         {
             "integrator": integrator.value,
             "spp": spp,
-            "squared_error": float(np.mean(errors[integrator])),
+            "squared_error": error[integrator],
             "ms": percentiles(times[integrator]),
             "efficiency": work[Integrator.PATH] / work[integrator] if work[integrator] > 0 else 1.0,
         }

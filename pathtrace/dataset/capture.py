@@ -10,7 +10,7 @@ import contextlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,10 +52,11 @@ def describe_capture(
         }
         for index, camera in enumerate(cameras)
     ]
+    # As captures had them when there were no other views.
     described = asdict(settings)
-    if not settings.monocular:
-        # As captures had them when there were no other views.
-        del described["monocular"]
+    for name in ("monocular", "fov"):
+        if not described[name]:
+            del described[name]
     intrinsics = camera_to_json(cameras[0])
     del intrinsics["transform_matrix"]
     return {
@@ -142,6 +143,8 @@ def chosen_capture(scene: Scene, settings: CaptureSettings, integrator: Integrat
     # The free space is that of the beginning, whatever the scene has shown last.
     scene.show(0.0)
     size, surfaces = (settings.width, settings.height), scene.surfaces()
+    if settings.fov is not None:
+        scene = replace(scene, camera=scene.camera.resized(*size).seeing(settings.fov))
     if settings.monocular:
         views = monocular_views(scene, surfaces, count, *size)
     else:

@@ -152,6 +152,7 @@ class CaptureSettings:
         seed: same seed, same frames; from 0 to compose.base.errors.MOST_SEED.
         monocular: whether views are those of one camera that sways around the scene's own, one instant after
             the other; otherwise they are free, and each shows a time of its own.
+        fov: horizontal field of view in degrees, over 0 and under 180; None for that of the scene's camera.
     """
 
     views: int = 64
@@ -162,6 +163,7 @@ class CaptureSettings:
     held_out_spp: int = 256
     seed: int = 0
     monocular: bool = False
+    fov: float | None = None
 
     def __post_init__(self) -> None:
         as_plain_numbers(self)
@@ -170,4 +172,6 @@ class CaptureSettings:
                 raise ValueError(f"{name.replace('_', '-')} is {getattr(self, name)}; must be positive")
         if self.held_out < 0:
             raise ValueError(f"held-out is {self.held_out}; must not be negative")
+        if self.fov is not None and not 0 < self.fov < 180:
+            raise ValueError(f"fov is {self.fov}; must be over 0 and under 180 degrees")
         require_seed(self.seed)

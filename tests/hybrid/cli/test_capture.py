@@ -40,9 +40,9 @@ def test_every_option_reaches_the_settings(monkeypatch, tmp_path):
 
     monkeypatch.setattr(module, "capture", capture)
     options = ["--views", 3, "--held-out", 2, "--size", 40, 30, "--spp", 5, "--held-out-spp", 6, "--seed", 7]
-    options += ["--max-depth", 2, "--integrator", "path"]
+    options += ["--max-depth", 2, "--integrator", "path", "--fov", 90]
     assert run(monkeypatch, "capture", "cornell", tmp_path / "f", *options) != 0
-    assert given == [2, tmp_path / "f", CaptureSettings(3, 2, 40, 30, 5, 6, seed=7), None]
+    assert given == [2, tmp_path / "f", CaptureSettings(3, 2, 40, 30, 5, 6, seed=7, fov=90), None]
 
 
 def test_the_defaults_are_those_of_the_settings(monkeypatch, tmp_path):

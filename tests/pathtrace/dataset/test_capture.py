@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from compose.camera.coordinate_systems import camera_from_json
 from pathtrace.dataset.capture import capture, chosen_capture, join_shares, render_share
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
@@ -112,6 +113,24 @@ def test_another_seed_gives_other_frames(scene, whole, tmp_path):
     # The scene's own camera both times, with other noise.
     assert frames.training[0].camera.key == whole[0].training[0].camera.key
     assert not np.array_equal(first, other)
+
+
+@extreme(
+    "fields of view of captured frames",
+    given="1 to 179 degrees, in a wide frame, around a camera of 60 degrees",
+    expected="that of all frames, around the scene's own camera",
+)
+@pytest.mark.parametrize("fov", [1, 90, 179])
+def test_frames_have_the_field_of_view_that_is_asked_for(scene, fov, got):
+    settings = CaptureSettings(views=4, held_out=2, width=32, height=16, fov=fov)
+    document = chosen_capture(scene, settings, Integrator.PATH)
+    assert document["settings"]["fov"] == fov
+    cameras = [camera_from_json({**document, **entry}) for entry in document["frames"]]
+    np.testing.assert_allclose(cameras[0].world_to_camera, scene.camera.world_to_camera, atol=1e-12)
+    for camera in cameras:
+        edges = camera.rays(np.array([[0, 8], [32, 8.0]]))
+        assert got(np.degrees(np.arccos(edges[0] @ edges[1]))) == pytest.approx(fov, rel=1e-4)
+        assert camera.fx == camera.fy
 
 
 def test_another_capture_is_not_overwritten(scene, whole):

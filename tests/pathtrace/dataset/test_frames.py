@@ -132,6 +132,12 @@ def test_no_view_need_be_held_out():
         CaptureSettings(held_out=-1)
 
 
+@pytest.mark.parametrize("fov", [0, -1, 180, float("nan"), float("inf")])
+def test_a_field_of_view_is_less_than_half_of_all_directions(fov):
+    with pytest.raises(ValueError, match=r"^fov is \S+; must be over 0 and under 180 degrees$"):
+        CaptureSettings(fov=fov)
+
+
 def test_numbers_of_numpy_are_numbers():
     settings = CaptureSettings(views=np.int64(3), width=np.uint16(32))
     assert (settings.views, settings.width) == (3, 32)
