@@ -22,22 +22,21 @@ from pathtrace.cache.irradiance_cache import IrradianceCache, look_up
 from pathtrace.scene.instances import FrozenWithScenes
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
-from pathtrace.trace.cached_paths import ALL_CACHED
 from pathtrace.trace.film import frame_positions, opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
 
-# Samples per pixel at which frames are timed. With so many, a frame may be the mean of others' frames.
-_SPP, _MANY = (1, 4, 64, 256), 16
+# Samples per pixel at which frames are timed.
+_SPP = (1, 4, 64, 256)
 # Frames of which the first of each kind is not measured, for it compiles kernels.
 _WARM_UP = 1
-# Frames of many samples: they differ little.
-_FEW = 2
+# Frames of as many samples as this and more are few: their errors differ little.
+_MANY, _FEW = 16, 2
 # Side in pixels of the blocks in which bias is looked for.
 BLOCK = 32
-# Samples per pixel in one pass of an image of many: all that end in the cache.
-PASS = ALL_CACHED
+# Samples per pixel in one pass of an image of many.
+PASS = 64
 # Look-ups at each point, for one alone is hidden by the start of the kernel.
 _LOOK_UPS = 32
 _REPEATS = 7
@@ -51,14 +50,14 @@ def bench_integrator(
     """Raw frames of both integrators, interleaved, against an unbiased reference.
 
     The reference, and the image that bias is measured in, have `reference_spp` samples per pixel; `repeats`
-    are measured frames per integrator, of few samples. Progress counts samples per pixel.
+    are measured frames per integrator and sample count below 16. Progress counts samples per pixel.
 
     Returns:
         `cache` (seconds, cells, bytes, transfer_bytes, look_up_ns); `rows`, one per integrator and sample
         count: squared_error per pixel and channel, without that of the reference, ms, efficiency
-        (1 / (squared error x time)) over that of `path`; `bias`, one row per integrator, of samples that all
-        end in the cache: of the mean, and of the worst and the 95th percentile of blocks of 32 x 32 pixels,
-        as fractions. That of `path` is due to noise alone, and so are the others' where they are no larger.
+        (1 / (squared error x time)) over that of `path`; `bias`, one row per integrator: of the mean, and of
+        the worst and the 95th percentile of blocks of 32 x 32 pixels, as fractions. That of `path` is due to
+        noise alone, and so are the others' where they are no larger.
     """
     half, done = -(-reference_spp // (2 * PASS)), 0
     frames = {spp: repeats if spp < _MANY else min(repeats, _FEW) for spp in _SPP}

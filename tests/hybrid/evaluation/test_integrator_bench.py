@@ -33,17 +33,20 @@ def test_a_room_is_traced_with_less_noise_and_little_bias(backend, monkeypatch):
     scene = load_scene("room")
     steps = []
     found = bench_integrator(
-        scene, scene.camera.resized(64, 64), 128, 3, lambda done, total: steps.append((done, total))
+        scene, scene.camera.resized(48, 48), 256, 3, lambda done, total: steps.append((done, total))
     )
-    assert [(row["integrator"], row["spp"]) for row in found["rows"]] == [
-        *(("path", 1), ("cached", 1)),
-        *(("path", 4), ("cached", 4)),
-    ]
-    for path, cached in (found["rows"][:2], found["rows"][2:]):
+    pairs = list(zip(found["rows"][::2], found["rows"][1::2], strict=True))
+    for (path, cached), spp in zip(pairs, (1, 4, 64, 256), strict=True):
+        for row, integrator in ((path, "path"), (cached, "cached")):
+            assert (row["integrator"], row["spp"]) == (integrator, spp)
+    # What remains of few pixels' errors without those of the reference is not known at 256 samples.
+    for path, cached in pairs[:3]:
         assert path["efficiency"] == pytest.approx(1)
         work = [row["squared_error"] * row["ms"]["p50"] for row in (path, cached)]
         assert cached["efficiency"] == pytest.approx(work[0] / work[1])
-        assert cached["squared_error"] < 0.7 * path["squared_error"]
+        assert 0 < cached["squared_error"] < 0.7 * path["squared_error"]
+    # Without that of the reference, the error of unbiased frames is that of their samples.
+    assert pairs[2][0]["squared_error"] == pytest.approx(pairs[1][0]["squared_error"] / 16, rel=0.4)
     for row in found["bias"]:
         assert abs(row["mean"]) < 0.02
         assert row["p95_block"] <= row["worst_block"] < 0.05
