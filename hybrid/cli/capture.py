@@ -67,7 +67,7 @@ def capture(
     mine = chosen_part(part)
     o.select(backend)
     from hybrid.base.cache_folder import keep_receipt
-    from hybrid.preparation.capture_parts import capture_part
+    from hybrid.preparation.capture_parts import CaptureJob, capture_part
     from hybrid.preparation.decisions import FIXED_SAMPLES, SAMPLES
     from hybrid.render.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
@@ -82,9 +82,9 @@ def capture(
     traced = integrator_named(integrator)
     start = time.perf_counter()
     if mine is not None:
-        asked = o.overridden(override)
+        job = CaptureJob(settings, spp, traced, o.overridden(override))
         loaded = load_scene(scene, max_depth, thin_glass, sensor=sensor)
-        stored = capture_part(loaded, frames, mine, settings, spp, traced, asked, progress_bar)
+        stored = capture_part(loaded, frames, mine, job, progress_bar)
         said_part(stored)
         return {"scene": loaded.name, "part": part, "seconds": time.perf_counter() - start}
     loaded = o.planned_scene(scene, max_depth, thin_glass, sensor, override)

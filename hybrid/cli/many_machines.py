@@ -44,8 +44,8 @@ def merge(
 ) -> o.Measured:
     """Join the parts that a command with --part made, if all are there, finished and of one version.
 
-    Parts of a capture become a frame set in the folder, those of an evaluation its page. Those of a sweep
-    stay as they are, and --json writes the whole.
+    Parts of a capture become a frame set in the folder, those of a preparation also a forest, those of an
+    evaluation its page. Those of a sweep stay as they are, and --json writes the whole.
     """
     from hybrid.base.parts import stored_parts
 
@@ -67,6 +67,26 @@ def _merged_capture(folder: Path) -> o.Measured:
         "views": len(frames.training),
         "held_out": len(frames.held_out),
         "integrator": frames.integrator,
+    }
+
+
+def _merged_preparation(folder: Path) -> o.Measured:
+    from hybrid.cli.capture import print_views
+    from hybrid.preparation.capture_parts import merge_preparation
+    from hybrid.preparation.forest_errors import held_out_quality
+
+    frames, forest = merge_preparation(folder, progress_bar)
+    print_views(frames)
+    rows = held_out_quality(frames, forest)
+    quality = {name: rows[-1][name] for name in ("psnr", "ssim") if name in rows[-1]}
+    held_out = f", held-out views {quality['psnr']:.2f} dB" if quality else ""
+    print(f"{len(forest.finest):,} Gaussians in {folder / 'forest.safetensors'}{held_out}")
+    return {
+        "scene": frames.scene_name,
+        "views": len(frames.training),
+        "gaussians": len(forest.finest),
+        "splat": quality,
+        "forest": str(folder / "forest.safetensors"),
     }
 
 
@@ -93,6 +113,7 @@ def _merged_evaluation(folder: Path) -> o.Measured:
 # How parts are joined, by the kind that they were begun with.
 _MERGES: dict[str, Callable[[Path], o.Measured]] = {
     "capture": _merged_capture,
+    "prepare": _merged_preparation,
     "sweep": _merged_sweep,
     "evaluate": _merged_evaluation,
 }

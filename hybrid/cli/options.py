@@ -45,6 +45,12 @@ def check_writable(path: Path | None) -> None:
         image_files.check_writable(path)
 
 
+def require_both(part: str | None, shared: Path | None) -> None:
+    """Refuses a part without a folder for it, and a folder without a part."""
+    if (part is None) != (shared is None):
+        raise UserError("--part and --shared: a part needs both")
+
+
 def _writable(path: Path | None) -> Path | None:
     try:
         check_writable(path)
@@ -208,6 +214,9 @@ RayAddress = Annotated[
         metavar="ADDRESS",
         help="Do all parts as tasks of the Ray cluster at an address, and merge them; local starts Ray here.",
     ),
+]
+SharedFolder = Annotated[
+    Path | None, run("--shared", metavar="DIR", help="Folder for the parts of --part, on all machines.")
 ]
 NumberPrecision = Annotated[
     Precision,

@@ -12,6 +12,7 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli import options as o
+from hybrid.cli.many_machines import chosen_part, on_ray, said_part
 from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
@@ -107,8 +108,15 @@ def prepare(
     ] = None,
     seed: o.Seed = 0,
     backend: o.Backend = "auto",
+    part: o.PartName = None,
+    ray: o.RayAddress = None,
+    shared: o.SharedFolder = None,
 ) -> o.Measured:
-    """Capture and train in turns, from nothing to a forest; resumes if interrupted."""
+    """Capture and train in turns, from nothing to a forest; resumes if interrupted.
+
+    Of N parts with --part, each traces a share of the frames, with as many views and samples as --quality
+    has in all, and `hybrid merge` trains the forest on them.
+    """
     started = time.perf_counter()
     from hybrid.preparation.stages import PreparationSettings
 
@@ -117,7 +125,22 @@ def prepare(
             region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
         )
     o.require_size(size)
+    o.require_both(part, shared)
+    if shared is not None and forest is not None:
+        raise UserError("--output: has no influence on parts, whose forest is in --shared; leave it out")
+    if ray is not None:
+        return on_ray(ray, part, shared)
+    mine = chosen_part(part)
     o.select(backend)
+    if mine is not None and shared is not None:
+        from hybrid.preparation.capture_parts import capture_part, preparation_job
+        from pathtrace.scene.scene import load_scene
+
+        with o.option_names("part", "region", most_indirect="clamp-indirect"):
+            job = preparation_job(settings, o.overridden(override))
+        parted = load_scene(scene, max_depth, thin_glass, sensor=sensor)
+        said_part(capture_part(parted, shared, mine, job, progress_bar))
+        return {"scene": parted.name, "part": part, "seconds": time.perf_counter() - started}
     from hybrid.preparation.decisions import REGION
     from hybrid.preparation.preparation import prepare as run
 

@@ -47,9 +47,7 @@ def sweep(
     backend: o.Backend = "auto",
     part: o.PartName = None,
     ray: o.RayAddress = None,
-    shared: Annotated[
-        Path | None, o.run("--shared", metavar="DIR", help="Folder for the parts of --part, on all machines.")
-    ] = None,
+    shared: o.SharedFolder = None,
     json_file: o.Json = None,
 ) -> None:
     """Time hybrid frames and full path tracing in turns, over one quantity; resumes if interrupted.
@@ -73,8 +71,7 @@ def sweep(
         display=display,
         integrator=integrator,
     )
-    if (part is None) != (shared is None):
-        raise UserError("--part and --shared: a part of a sweep needs both")
+    o.require_both(part, shared)
     if report is not None and part is not None:
         raise UserError("--report: has no influence on parts; leave it out")
     if ray is not None:

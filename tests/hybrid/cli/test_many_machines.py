@@ -18,14 +18,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from hybrid.base.cache_folder import has_receipt, home
+from hybrid.base.cache_folder import has_receipt, home, newest_forest
 from hybrid.base.identity import code
 from hybrid.base.parts import Part
 from hybrid.cli.many_machines import _claim, arguments_of
 from hybrid.preparation import capture_parts
+from hybrid.preparation.scene_plan import as_stored
 from pathtrace.dataset.frame_set import read_frame_set
+from pathtrace.scene.scene import load_scene
+from splat.io.forest_file import load_forest
 from tests.extremes import extreme
 from tests.hybrid.command import run
+from tests.hybrid.preparation.tiny import make_tiny
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 CAPTURE = ["capture", "cornell"]
@@ -148,6 +152,75 @@ def test_a_whole_capture_takes_no_parts(parts, monkeypatch, capsys):
     assert run(monkeypatch, *CAPTURE, parts, *OPTIONS, "--part", "1/2") == 2
     assert f"{parts}: holds a whole capture already" in capsys.readouterr().err
     assert contents(parts) == whole
+
+
+PREPARE = ["prepare", "cornell", "--quality", "draft", "--held-out", 2]
+
+
+@pytest.fixture
+def prepared_parts(monkeypatch, tmp_path) -> Path:
+    """The folder of two finished parts of a preparation of 6 views of 32 x 32."""
+    make_tiny(monkeypatch.setattr)
+    for number in (2, 1):
+        assert run(monkeypatch, *PREPARE, "--part", f"{number}/2", "--shared", tmp_path / "p") == 0
+    return tmp_path / "p"
+
+
+def test_a_preparation_in_parts_becomes_frames_and_the_newest_forest(prepared_parts, monkeypatch, capsys):
+    out = prepared_parts.parent / "m.json"
+    assert run(monkeypatch, "merge", prepared_parts, "--json", out) == 0
+    found, frames = json.loads(out.read_text()), read_frame_set(prepared_parts)
+    assert (found["views"], len(frames.training), len(frames.held_out)) == (6, 6, 2)
+    assert {entry.camera.width for entry in frames.training} == {32}
+    forest = load_forest(prepared_parts / "forest.safetensors")
+    assert found["gaussians"] == len(forest.finest) > 50
+    assert found["splat"]["psnr"] > 10
+    newest = newest_forest(as_stored(load_scene("cornell")).planned(frames.plan))
+    assert newest is not None
+    assert len(load_forest(newest).finest) == len(forest.finest)
+    assert not list(prepared_parts.glob("part-*"))
+    assert (
+        f"{len(forest.finest):,} Gaussians in {prepared_parts / 'forest.safetensors'}"
+        in capsys.readouterr().out
+    )
+
+
+@extreme(
+    "a training of merged parts that is interrupted",
+    given="Ctrl-C while the forest is trained",
+    expected="the frames are joined, the parts stay, and merging again trains",
+)
+def test_an_interrupted_merge_of_a_preparation_goes_on(prepared_parts, monkeypatch, got):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(capture_parts, "train", interrupted)
+        assert got(run(monkeypatch, "merge", prepared_parts)) != 0
+    assert len(list(prepared_parts.glob("frames/*"))) == 8
+    assert len(list(prepared_parts.glob("part-*/part.json"))) == 2
+    assert run(monkeypatch, "merge", prepared_parts) == 0
+    assert (prepared_parts / "forest.safetensors").is_file()
+    assert not list(prepared_parts.glob("part-*"))
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "said"),
+    [
+        ("cornell", ["--minutes", 1], "--part: takes --quality, and neither --minutes nor --psnr"),
+        ("cornell", ["--region", "reachable"], "--region reachable: parts prepare the region near only"),
+        ("cornell", ["--clamp-indirect", 5], "--clamp-indirect 5: has no influence on parts"),
+        ("cornell", ["-o", "f.forest"], "--output: has no influence on parts"),
+        ("room-moving", [], "something moves in it; prepare it on one machine, without --part"),
+    ],
+)
+def test_what_parts_cannot_prepare_is_refused_before_any_work(
+    scene, options, said, monkeypatch, tmp_path, capsys
+):
+    common = ["prepare", scene, "--part", "1/2", "--shared", tmp_path / "p"]
+    assert run(monkeypatch, *common, *options) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "p").exists()
 
 
 def test_frames_of_elsewhere_get_no_receipt_by_a_merge(parts, monkeypatch, tmp_path_factory, capsys):

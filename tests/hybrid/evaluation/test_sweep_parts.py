@@ -124,8 +124,8 @@ def test_a_part_of_another_sweep_is_refused(radius, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--part", "1/2"], "--part and --shared: a part of a sweep needs both"),
-        (["--shared", "f"], "--part and --shared: a part of a sweep needs both"),
+        (["--part", "1/2"], "--part and --shared: a part needs both"),
+        (["--shared", "f"], "--part and --shared: a part needs both"),
         (["--part", "1/2", "--shared", "f", "--report", "r"], "--report: has no influence on parts"),
         (["--part", "1/2", "--shared", "f", "--json", "a.json"], "--json: has no influence on a part"),
         (["--part", "3/2", "--shared", "f"], "--part 3/2: must be I/N"),
