@@ -136,7 +136,7 @@ def prepare(
         from hybrid.preparation.capture_parts import capture_part, preparation_job
         from pathtrace.scene.scene import load_scene
 
-        with o.option_names("part", "region", most_indirect="clamp-indirect"):
+        with o.option_names("part", "region", "size", most_indirect="clamp-indirect"):
             job = preparation_job(settings, o.overridden(override))
         parted = load_scene(scene, max_depth, thin_glass, sensor=sensor)
         said_part(capture_part(parted, shared, mine, job, progress_bar))

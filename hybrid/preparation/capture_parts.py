@@ -15,6 +15,7 @@ from hybrid.base.identity import Journal, code, machine, short_hash
 from hybrid.base.parts import Part, StoredPart, begin, first_come, parts_in, remove_parts, stored_parts
 from hybrid.base.progress import Bars
 from hybrid.preparation.decisions import FIXED_SAMPLES, LAYERS, SAMPLES, Value, planned_needs
+from hybrid.preparation.forest_errors import HELD_OUT_SPP
 from hybrid.preparation.forest_training import planned_settings, train
 from hybrid.preparation.scene_plan import as_planned
 from hybrid.preparation.stages import PreparationSettings
@@ -69,12 +70,13 @@ def preparation_job(settings: PreparationSettings, override: Mapping[str, Value]
         raise UserError("part: takes --quality, and neither --minutes nor --psnr")
     if settings.region != NEAR:
         raise UserError(f"region {settings.region}: parts prepare the region {NEAR} only")
-    if settings.most_indirect is not None:
-        raise UserError(f"most_indirect {settings.most_indirect:g}: has no influence on parts; leave it out")
+    for name in ("size", "most_indirect"):
+        if getattr(settings, name) != getattr(PreparationSettings, name):
+            raise UserError(f"{name}: has no influence on parts; leave it out")
     stages = settings.stages
     side, spp = stages[-1].whole, stages[-1].spp
     views = sum(stage.views for stage in stages)
-    frames = CaptureSettings(views, settings.held_out, side, side, spp, seed=settings.seed)
+    frames = CaptureSettings(views, settings.held_out, side, side, spp, HELD_OUT_SPP, settings.seed)
     return CaptureJob(frames, spp, Integrator.CACHED, override, settings.quality)
 
 

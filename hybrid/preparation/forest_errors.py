@@ -76,7 +76,7 @@ def _means(rows: list[dict[str, float]]) -> dict[str, float]:
 
 # Samples per pixel of their frames, which are denoised, like those that are trained on: several times as many
 # as any of these have.
-_SPP = 128
+HELD_OUT_SPP = 128
 # Far from the seeds of training frames.
 _SEED = 777_767_777
 
@@ -97,7 +97,7 @@ class Judges:
         for number, (camera, file) in enumerate(zip(cameras, self._files, strict=True)):
             if not is_intact(read_frame, file, camera):
                 tracer.scene.show(times[number])
-                write_frame(file, render_frame(tracer, camera, _SPP, _SEED + number))
+                write_frame(file, render_frame(tracer, camera, HELD_OUT_SPP, _SEED + number))
             progress(number + 1, len(cameras))
 
     def quality(self, forest: Forest) -> dict[str, float]:

@@ -209,7 +209,8 @@ def test_an_interrupted_merge_of_a_preparation_goes_on(prepared_parts, monkeypat
     [
         ("cornell", ["--minutes", 1], "--part: takes --quality, and neither --minutes nor --psnr"),
         ("cornell", ["--region", "reachable"], "--region reachable: parts prepare the region near only"),
-        ("cornell", ["--clamp-indirect", 5], "--clamp-indirect 5: has no influence on parts"),
+        ("cornell", ["--clamp-indirect", 5], "--clamp-indirect: has no influence on parts"),
+        ("cornell", ["--size", 64, 64], "--size: has no influence on parts"),
         ("cornell", ["-o", "f.forest"], "--output: has no influence on parts"),
         ("room-moving", [], "something moves in it; prepare it on one machine, without --part"),
     ],
