@@ -195,21 +195,17 @@ def _named(column: str) -> str:
     return f"{region} {_METRICS[metric]}"
 
 
-# Samples per pixel in the bench of integrators.
-_SPP = "1 / 4 / 64 / 256 spp"
-
-
 def integrators() -> str:
     """Efficiency and bias of the cached integrator."""
     names = "integrator-room", "integrator-staircase2"
-    columns = "{squared_error:.2g}", "{ms[p50]:.0f}", "{efficiency:.1f}"
+    columns = "{spp}", "{squared_error:.2g}", "{ms[p50]:.0f}", "{efficiency:.1f}"
     form, rows = "{mean:+.1%} | {worst_block:.1%} | {p95_block:.1%}", []
     for found in map(result, names):
         for bias in found["bias"]:
             by_spp = [row for row in found["rows"] if row["integrator"] == bias["integrator"]]
             cells = [" / ".join(_rows(column, by_spp)) for column in columns]
             rows.append(" | ".join([found["scene"], bias["integrator"], *cells, form.format(**bias)]))
-    header = f"scene | integrator | squared error, {_SPP} | ms | efficiency | "
+    header = "scene | integrator | spp | squared error | ms | efficiency | "
     header += "bias of the mean | worst block | 95 % of blocks below"
     return _table(header, rows, *names)
 
@@ -557,8 +553,9 @@ def _integrator() -> tuple[str, str]:
         found = result(name)
         rows, (bias,) = ([r for r in found[of] if r["integrator"] == "cached"] for of in ("rows", "bias"))
         gains = " / ".join(_rows("{efficiency:.1f}x", rows))
-        texts.append(f"{found['scene']} {gains} at a bias of {bias['mean']:+.1%}")
-    return f"efficiency of the cached integrator against `path`, raw frames, {_SPP}", "; ".join(texts)
+        spp = " / ".join(_rows("{spp}", rows))
+        texts.append(f"{found['scene']} {gains} at {spp} spp, a bias of {bias['mean']:+.1%}")
+    return "efficiency of the cached integrator against `path`, raw frames", "; ".join(texts)
 
 
 def _registration() -> tuple[str, str]:

@@ -25,7 +25,6 @@ from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_se
 from pathtrace.region import NEAR
 from pathtrace.scene.scene import Scene
 from pathtrace.trace import Integrator
-from splat.io.forest_file import load_forest
 from splat.model.forest import Forest
 
 _DESCRIPTION = "transforms.json"
@@ -126,10 +125,7 @@ def merge_preparation(shared: Path, bars: Bars) -> tuple[FrameSet, Forest]:
     It is the file `forest.safetensors` in the shared folder.
     """
     parts, frames = _joined(shared)
-    path, stages = (
-        shared / "forest.safetensors",
-        PreparationSettings(quality=parts[0].identity["quality"]).stages,
-    )
+    stages = PreparationSettings(quality=parts[0].identity["quality"]).stages
     finest = stages[-1].for_needs(planned_needs(frames.plan, NEAR, 1.0))
     settings = planned_settings(
         frames,
@@ -138,10 +134,9 @@ def merge_preparation(shared: Path, bars: Bars) -> tuple[FrameSet, Forest]:
         layers=min(finest.layers, frames.plan.get(LAYERS, finest.layers)),
         seed=parts[0].identity["settings"]["seed"],
     )
-    if not path.is_file():
-        with bars("forest (steps)") as bar:
-            train(frames, path, settings, bar)
-    forest = load_forest(path)
+    path = shared / "forest.safetensors"
+    with bars("forest (steps)") as bar:
+        forest = train(frames, path, settings, bar)
     store_forest(forest, path.stem)
     # Until now, they say what is to be trained.
     remove_parts(shared, parts)
