@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -86,6 +86,16 @@ def restore_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
 
 
 _CHECKPOINT_SECONDS = 30.0
+# Trainings of fewer steps have as many as they are asked for.
+LEAST_PACED = 40
+
+
+class Paced(Protocol):
+    """Decides how many steps a training has, while it tells how long they take."""
+
+    def __call__(self, seconds: float, done: int, fewest: int) -> int:
+        """Steps in all, at least the fewest, if each takes so many seconds now and so many are done."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,7 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     start: Forest | None = None,
     light: SurfaceLight | None = None,
     precision: Precision = Precision.COMPACT,
-    paced: Callable[[float], int] | None = None,
+    paced: Paced | None = None,
 ) -> Forest:
     """Trains a forest and writes it to a file; resumes if interrupted.
 
@@ -138,9 +148,8 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
         start: whose finest layer to go on from.
         light: on the surfaces that the frames show, in their coordinates; None if it is not known to change.
         precision: of the numbers in the file, which are those of the forest that is returned.
-        paced: told the seconds that a step takes, says how many steps it will be, LEAST_PACED or more; as in
-            the settings if None, and in trainings of fewer. Such a forest does not learn yet where it is
-            wrong: others will follow.
+        paced: says how many steps it will be, LEAST_PACED or more; as in the settings if None, and in
+            trainings of fewer. Such a forest does not learn yet where it is wrong: others will follow.
 
     UserError if there are no frames to train on, a motion is to be learned from frames of a single time, a
     frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers, or the
@@ -160,8 +169,7 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     del views
     checkpoint = checkpoint_path(path)
     restore_checkpoint(trainer, checkpoint, frames)
-    save = lambda: save_checkpoint(trainer, checkpoint, frames)  # noqa: E731
-    _run(trainer, save, lambda done: progress(done, trainer.settings.iterations), paced)
+    _run(trainer, checkpoint, frames, progress, paced)
     settings = trainer.settings
     scene = frames.scene_name, frames.scene_hash
     forest = forest_of(trainer.forest(), focal, *scene, trainer.place, trainer.motion, trainer.light)
@@ -198,38 +206,45 @@ def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
         )
 
 
-# Steps of which the first ones are slow, and those after them that tell how long one takes. Trainings of
-# fewer steps than the last number are over before it is told.
-_SLOW, _TIMED, LEAST_PACED = 3, 5, 40
+# Steps of which the first ones are slow, and after which it is told for the first time how long one takes;
+# then whenever there are twice as many, in the share of the training that has one layer only.
+_SLOW, _FIRST_TOLD, _TELLING = 3, 8, 0.35
 
 
-def _run(
-    trainer: Trainer,
-    save: Callable[[], None],
-    progress: Callable[[int], None],
-    paced: Callable[[float], int] | None,
-) -> None:
+def _run(trainer: Trainer, checkpoint: Path, frames: Frames, progress: Steps, paced: Paced | None) -> None:
     """Trains to the end; saves a checkpoint regularly and on Ctrl-C."""
     saved = time.perf_counter()
 
     def step(done: int) -> None:
         nonlocal saved
-        progress(done)
+        progress(done, trainer.settings.iterations)
         if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
-            save()
+            save_checkpoint(trainer, checkpoint, frames)
             saved = time.perf_counter()
         interrupted()
 
     with interrupts_between_steps() as interrupted:
         try:
             if paced is not None and trainer.settings.iterations >= LEAST_PACED:
-                trainer.run(step, trainer.iteration + _SLOW)
-                start = time.perf_counter()
-                trainer.run(step, trainer.iteration + _TIMED)
-                trainer.last(paced((time.perf_counter() - start) / _TIMED))
-                # Of a training of as many steps, which is what will be resumed.
-                save()
+                _pace(trainer, checkpoint, step, paced)
+                save_checkpoint(trainer, checkpoint, frames)
             trainer.run(step)
         except KeyboardInterrupt:
-            save()
+            save_checkpoint(trainer, checkpoint, frames)
             raise
+
+
+def _pace(trainer: Trainer, checkpoint: Path, step: Callable[[int], None], paced: Paced) -> None:
+    """Trains as long as steps tell how many there can be."""
+    until, slow = _FIRST_TOLD, _SLOW
+    while until <= _TELLING * trainer.settings.iterations:
+        # Unless this run began later.
+        if trainer.iteration + slow < until:
+            trainer.run(step, trainer.iteration + slow)
+            start, before, slow = time.perf_counter(), trainer.iteration, 0
+            trainer.run(step, until)
+            seconds = (time.perf_counter() - start) / (until - before)
+            # It is of another number of steps from now on.
+            checkpoint.unlink(missing_ok=True)
+            trainer.last(paced(seconds, until, trainer.fewest))
+        until *= 2

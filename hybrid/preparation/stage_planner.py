@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from functools import partial
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.base.identity import Journal
-from hybrid.preparation.forest_training import LEAST_PACED
+from hybrid.preparation.forest_training import LEAST_PACED, Paced
 from hybrid.preparation.stages import (
     LEAST_SPP,
     SIDE,
@@ -42,6 +42,9 @@ _SHARES = np.geomspace(16.0, _LEAST_SHARE, 500).tolist()
 _FEWER = np.geomspace(1.0, 0.5, 8).tolist()
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
+# What steps take over those of the first third of a training that goes on: there are more Gaussians, but in
+# the end two of five steps are of coarser layers.
+_LATER = 0.9
 # Least share of the first stage's views, and how many of them tell how large it can be.
 _LEAST_FIRST, PROBED = 0.25, 3
 
@@ -270,25 +273,24 @@ class Planner:
         return self.journal.once(f"steps {self.number}", lambda: self.stages[-1].steps)
 
     @property
-    def paced(self) -> Callable[[float], int] | None:
-        """Told the seconds of a training step, says how many there will be; None if that is settled."""
-        is_settled = self._settings.minutes is None or f"paced {self.number}" in self.journal
-        return None if is_settled else self._paced
+    def paced(self) -> Paced | None:
+        """Says how many steps the last stage's training will have; None if time does not matter."""
+        return None if self._settings.minutes is None else self._paced
 
-    def _paced(self, seconds: float) -> int:
+    def _paced(self, seconds: float, done: int, fewest: int) -> int:
         number, stage, left = self.number, self.stages[-1], self._left()
         assert left is not None
         pace = replace(self._pace(), training=seconds / step_seconds(stage))
         if number:
             left -= pace.training * stage.gaussians * BUILT
-        possible = int(left / seconds)
+            seconds *= _LATER
+        possible = done + int(left / seconds)
         # No more than planned where the time that they leave is of use to further views.
-        left -= seconds * stage.steps
+        left -= seconds * (stage.steps - done)
         following = next_stage(self.stages, self._needs, pace, left, self._settings.stages)
         if following is not None and following.views:
             possible = min(possible, stage.steps)
-        self.journal[f"steps {number}"] = steps = max(possible, _least_steps(stage))
-        self.journal[f"paced {number}"] = seconds
+        self.journal[f"steps {number}"] = steps = max(possible, fewest, _least_steps(stage))
         return steps
 
     def lap(self, part: str) -> float:

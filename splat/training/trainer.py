@@ -6,6 +6,7 @@ the only one at which it must look right; this makes the coarse layers nearly fr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -180,12 +181,17 @@ class Trainer:
         self._settling = int(_SETTLED * self.settings.iterations)
         return np.bincount(self._schedule, minlength=self.settings.layers).clip(min=1).tolist()
 
+    @property
+    def fewest(self) -> int:
+        """Steps in all that there can still be."""
+        return math.ceil(self.iteration / _ALONE)
+
     def last(self, iterations: int) -> None:
         """Makes it so many steps in all, while there is one layer yet.
 
         ValueError if some of these steps would have been of other layers.
         """
-        if self.iteration > _ALONE * min(iterations, self.settings.iterations):
+        if self.fewest > min(iterations, self.settings.iterations):
             raise ValueError(f"after {self.iteration} steps, there cannot be {iterations} in all any more")
         self.settings = replace(self.settings, iterations=iterations)
         for training, steps in zip(self._layers, self._scheduled(), strict=True):

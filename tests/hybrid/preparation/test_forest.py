@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from dataclasses import replace
 
@@ -93,30 +94,34 @@ def test_ctrl_c_leaves_a_checkpoint_and_the_next_run_ends_the_same(
 
 
 def test_the_first_steps_tell_how_many_there_will_be(frames, training_settings, tmp_path):
-    """That is asked once, and holds after an interruption too."""
+    """They are asked as long as there is one layer, and it holds after an interruption too."""
     settings, asked, told = replace(training_settings, iterations=60), [], []
 
-    def paced(seconds: float) -> int:
-        asked.append(seconds)
-        return 45
+    def paced(seconds: float, done: int, fewest: int) -> int:
+        assert 0 < seconds < 60
+        assert fewest == math.ceil(done / 0.4)
+        asked.append(done)
+        return 50 if done == 8 else 45
 
     def interrupt(done: int, total: int) -> None:
         told.append(total)
-        if done == 30:
+        if done in (12, 30):
             signal.raise_signal(signal.SIGINT)
 
     whole = train(frames, tmp_path / "whole", settings, paced=paced)
-    assert len(asked) == 1
-    assert 0 < asked[0] < 60
-    with pytest.raises(KeyboardInterrupt):
-        train(frames, tmp_path / "parts", settings, interrupt, paced=paced)
-    assert told == [60] * 8 + [45] * 22
+    assert asked == [8, 16]
+    for known in (60, 50):
+        resumed = replace(settings, iterations=known)
+        with pytest.raises(KeyboardInterrupt):
+            train(frames, tmp_path / "parts", resumed, interrupt, paced=paced)
+    assert asked == [8, 16] * 2
+    assert told == [60] * 8 + [50] * 8 + [45] * 14
     parts = train(frames, tmp_path / "parts", replace(settings, iterations=45))
     # What a stage does not learn yet.
     assert parts.digest() == with_errors(frames, whole).digest()
     # The others are over before anybody could tell.
     train(frames, tmp_path / "short", training_settings, paced=paced)
-    assert len(asked) == 2
+    assert asked == [8, 16] * 2
 
 
 def test_a_checkpoint_is_saved_every_thirty_seconds(frames, training_settings, tmp_path, monkeypatch):

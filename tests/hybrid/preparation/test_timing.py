@@ -224,10 +224,18 @@ def test_the_first_steps_tell_how_many_fit(tmp_path, seconds, least, most):
     planner = begun(tmp_path / "job", 1.0, 20.0)
     assert planner.steps() == 150
     assert planner.paced is not None
-    found = planner.paced(seconds)
+    found = planner.paced(seconds, 0, 1)
     assert least <= found <= most
     assert planner.steps() == found
-    assert planner.paced is None
+
+
+def test_later_steps_tell_again_how_many_fit(tmp_path):
+    """In some 38 seconds after those that are done; at least as many as there can still be."""
+    planner = begun(tmp_path / "job", 1.0, 20.0)
+    assert planner.paced is not None
+    assert planner.paced(0.2, 8, 20) == 150
+    assert 105 <= planner.paced(0.5, 40, 100) <= 117
+    assert planner.paced(4.0, 48, 120) == planner.steps() == 120
 
 
 def test_steps_are_not_saved_for_a_stage_that_only_goes_on(tmp_path):
@@ -237,7 +245,7 @@ def test_steps_are_not_saved_for_a_stage_that_only_goes_on(tmp_path):
     assert goes_on is not None
     assert goes_on.views == 0
     assert planner.paced is not None
-    assert 400 <= planner.paced(0.04) <= 430
+    assert 400 <= planner.paced(0.04, 0, 1) <= 430
 
 
 @pytest.mark.parametrize("pace", [Seconds(1.0, 1.0), Seconds(3.0, 1.2), Seconds(0.2, 0.5)])
@@ -262,6 +270,6 @@ def test_stages_use_the_time_and_no_more(tmp_path, monkeypatch, minutes, pace):
         # Trees are built after the steps, and all else before them.
         built = BUILT * planner.stages[-1].gaussians * pace.training if planner.number else 0.0
         now[0] += expected.training * pace.training - planner.stages[-1].steps * step() - built
-        now[0] += planner.paced(step()) * step() + built
+        now[0] += planner.paced(step(), 0, 1) * step() + built
         planner.lap("training")
     assert 0.9 < now[0] / (60 * minutes) <= 1.0
