@@ -14,6 +14,7 @@ import numpy as np
 from hybrid.base.identity import Journal
 from hybrid.preparation.forest_training import LEAST_PACED, Paced
 from hybrid.preparation.stages import (
+    FIRST_LOOK,
     LEAST_SPP,
     SIDE,
     STAGES,
@@ -110,7 +111,10 @@ def next_stage(
         possible = [_first_in_time(stage, share, pace) for share in _SHARES if share >= 1]
         possible += [replace(stage, spp=spp) for spp in range(stage.spp, LEAST_SPP - 1, -1)]
     fitting = next((one for one in possible if expected_seconds(one, before).at(pace) <= left), None)
-    return fitting or (None if before else _least_first(possible[-1], pace, left))
+    if fitting is not None or before:
+        return fitting
+    least, look = _least_first(possible[-1], pace, left), FIRST_LOOK.for_needs(needs)
+    return least if least.views >= look.views else look
 
 
 def _with_another(stage: Stage, before: Sequence[Stage], needs: Needs, pace: Seconds) -> float:
@@ -149,7 +153,8 @@ def _first_in_time(stage: Stage, share: float, pace: Seconds) -> Stage:
 def _least_first(stage: Stage, pace: Seconds, left: float) -> Stage:
     """The first stage, with few samples, in less than its time: with fewer steps, and then fewer views.
 
-    What no view shows is missing: with 10 views `room` had 20 dB, with 20 views and as many steps 29.
+    What no view shows is missing: with 10 views `room` had 20 dB, with 20 views and as many steps 29. So
+    there may be too few of them: as many smaller ones as a first look has are better, 27 dB after 15 s.
     """
     expected, step = expected_seconds(stage, []), step_seconds(stage) * pace.training
     frames, besides = expected.frames * pace.frames, expected.training * pace.training - stage.steps * step
@@ -197,6 +202,8 @@ _USED = 0.97
 _MOST_STAGES, _LEAST_GAIN = 8, 0.15
 # Before that, more views and pixels may bring more than the last stage did.
 _LEAST_STAGES = 3
+# What twice the samples and as many steps again bring, in dB.
+_NEARLY = 1.0
 
 
 # In the journal, the pace that the first views have told, and what of the scene there is time for.
@@ -306,8 +313,11 @@ class Planner:
         return f"training seconds {self.number}" in self.journal
 
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
-        if number and self._is_enough([row["psnr"] for row in curve if "psnr" in row]):
+        psnr = [row["psnr"] for row in curve if "psnr" in row]
+        if number and self._is_enough(psnr):
             return None
+        if number and self._is_nearly_enough(psnr):
+            return asdict(replace(self.stages[-1], views=0, spp=2 * self.stages[-1].spp))
         # How long the first stage takes is not known before it has begun.
         left = self._left() if number else None
         if left is not None and f"light seconds {number - 1}" in self.journal:
@@ -320,13 +330,19 @@ class Planner:
     def _is_enough(self, psnr: list[float]) -> bool:
         """Whether what was asked for is reached, or no more is to be had."""
         number = planned_among(self.stages)
-        gained = len(psnr) < _LEAST_STAGES or psnr[-1] - psnr[-2] >= _LEAST_GAIN
+        is_young = len(psnr) < _LEAST_STAGES or not self.stages[-1].views
+        gained = is_young or psnr[-1] - psnr[-2] >= _LEAST_GAIN
         if self._settings.psnr is not None:
             return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
         if self._settings.minutes is not None:
             # Until no further stage fits.
             return False
         return number >= len(self._settings.stages) or not gained
+
+    def _is_nearly_enough(self, psnr: list[float]) -> bool:
+        """Whether more samples of the views that there are may do, sooner than what is planned next."""
+        wanted, views = self._settings.psnr, self.stages[-1].views
+        return wanted is not None and views > 0 and wanted - psnr[-1] <= _NEARLY
 
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""

@@ -140,16 +140,16 @@ def going_on(before: Sequence[Stage], is_elsewhere: bool, is_changed: bool) -> l
 
 
 # For somebody who waits for the first frame: as many views as show the border, with few pixels.
-_FIRST_LOOK = Stage(views=12, scale=0.75, spp=2, gaussians=30_000, steps=60)
+FIRST_LOOK = Stage(views=12, scale=0.75, spp=2, gaussians=30_000, steps=60)
 # A first look alone, and all stages after one.
 GLIMPSE, LIVE = "glimpse", "live"
 # Stages by quality.
 QUALITIES = {
-    GLIMPSE: (_FIRST_LOOK,),
+    GLIMPSE: (FIRST_LOOK,),
     "draft": STAGES[:2],
     "standard": STAGES[:4],
     "high": STAGES,
-    LIVE: (_FIRST_LOOK, *STAGES),
+    LIVE: (FIRST_LOOK, *STAGES),
 }
 
 
@@ -164,6 +164,8 @@ def planned_stage(before: Sequence[Stage], needs: Needs, stages: Sequence[Stage]
 
 
 MOST_MINUTES = 10_000.0
+# A PSNR in dB that may be reached in less than the first stage.
+_LITTLE = 30.0
 
 
 @dataclass(frozen=True)
@@ -199,11 +201,9 @@ class PreparationSettings:
     @property
     def stages(self) -> Sequence[Stage]:
         """Stages to do in turn, for the default region of a scene that nobody has looked at."""
-        if self.psnr is not None:
-            first, *others = STAGES
-            # Frames may be large enough for it, and only lack samples.
-            return first, replace(first, views=0, spp=2 * first.spp), *others
-        return STAGES if self.minutes is not None else QUALITIES[self.quality]
+        if self.psnr is not None and self.psnr <= _LITTLE:
+            return replace(STAGES[0], spp=LEAST_SPP, steps=STAGES[0].steps // 3), *STAGES
+        return STAGES if self.minutes is not None or self.psnr is not None else QUALITIES[self.quality]
 
     def __post_init__(self) -> None:
         as_plain_numbers(self)
