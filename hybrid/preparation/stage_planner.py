@@ -46,8 +46,8 @@ _LEAST_STEPS = 0.1
 # What steps take over those of the first third of a training that goes on: there are more Gaussians, but in
 # the end two of five steps are of coarser layers.
 _LATER = 0.9
-# Least share of the first stage's views, and how many of them tell how large it can be.
-_LEAST_FIRST, PROBED = 0.25, 3
+# Views of the first stage that tell how large it can be.
+PROBED = 3
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,7 @@ def next_stage(
     fitting = next((one for one in possible if expected_seconds(one, before).at(pace) <= left), None)
     if fitting is not None or before:
         return fitting
+    # What no view shows is missing, so that many small ones are better than few.
     least, look = _least_first(possible[-1], pace, left), FIRST_LOOK.for_needs(needs)
     return least if least.views >= look.views else look
 
@@ -153,14 +154,13 @@ def _first_in_time(stage: Stage, share: float, pace: Seconds) -> Stage:
 def _least_first(stage: Stage, pace: Seconds, left: float) -> Stage:
     """The first stage, with few samples, in less than its time: with fewer steps, and then fewer views.
 
-    What no view shows is missing: with 10 views `room` had 20 dB, with 20 views and as many steps 29. So
-    there may be too few of them: as many smaller ones as a first look has are better, 27 dB after 15 s.
+    With 10 views `room` had 20 dB, with 20 views and as many steps 29.
     """
     expected, step = expected_seconds(stage, []), step_seconds(stage) * pace.training
     frames, besides = expected.frames * pace.frames, expected.training * pace.training - stage.steps * step
     steps = int(np.clip((left - frames - besides) / step, _least_steps(stage), stage.steps))
     share = (left - besides - steps * step) / frames
-    return replace(stage, steps=steps, views=round(stage.views * min(max(share, _LEAST_FIRST), 1.0)))
+    return replace(stage, steps=steps, views=round(stage.views * min(share, 1.0)))
 
 
 def _frames(views: int, stage: Stage, spp: int) -> float:

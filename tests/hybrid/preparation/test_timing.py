@@ -147,9 +147,9 @@ def test_samples_that_views_have_already_are_not_traced_again():
     assert expected_seconds(again, STAGES[:3]).frames == 0
 
 
-def begun(path, minutes: float | None, spent: float) -> Planner:
+def begun(path, minutes: float | None, spent: float, psnr: float | None = None) -> Planner:
     """A planner in the first stage of a job that began some seconds ago."""
-    settings, journal = PreparationSettings(minutes=minutes), Journal(path, {"name": "a job"})
+    settings, journal = PreparationSettings(minutes=minutes, psnr=psnr), Journal(path, {"name": "a job"})
     planner = Planner(settings, journal, JobClock(journal, time.perf_counter() - spent), Needs())
     assert planner.begin([])
     return planner
@@ -283,9 +283,7 @@ def test_stages_use_the_time_and_no_more(tmp_path, monkeypatch, minutes, pace):
 
 def test_a_quality_nearly_reached_is_tried_with_more_samples_first(tmp_path):
     """Once; a stage without further views is no reason to give up either."""
-    journal = Journal(tmp_path / "job", {"name": "a job"})
-    planner = Planner(PreparationSettings(psnr=35.0), journal, JobClock(journal, 0.0), Needs())
-    assert planner.begin([])
+    planner = begun(tmp_path / "job", None, 0.0, psnr=35.0)
     curve = [{"psnr": 34.0}]
     assert planner.begin(curve)
     first = STAGES[0]
@@ -303,9 +301,7 @@ def test_a_quality_nearly_reached_is_tried_with_more_samples_first(tmp_path):
 
 
 def test_a_quality_far_away_takes_the_next_stage(tmp_path):
-    journal = Journal(tmp_path / "job", {"name": "a job"})
-    planner = Planner(PreparationSettings(psnr=35.0), journal, JobClock(journal, 0.0), Needs())
-    assert planner.begin([])
+    planner = begun(tmp_path / "job", None, 0.0, psnr=35.0)
     assert planner.begin([{"psnr": 33.0}])
     assert planner.stages == list(STAGES[:2])
 
