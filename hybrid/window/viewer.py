@@ -32,8 +32,9 @@ _TICK, _REST = 0.008, 0.1
 # Seconds for which a window must keep its size until frames follow it; until then they are enlarged. With a
 # target, each new size is measured for half a minute.
 _SETTLE = 0.2
-# Seconds for which a message stays.
-_MESSAGE = 5.0
+# Seconds for which a message stays, and from one change of the frame times that are shown to the next: laying
+# out text that nobody can read takes a browser a millisecond of each frame.
+_MESSAGE, _READ = 5.0, 0.25
 # Ends of the width and height of a canvas in pixels.
 _LEAST_SIDE, _MOST_SIDE = 16, 8192
 
@@ -135,6 +136,10 @@ class Viewer:
         self._held_point: tuple[float, float] | None = None
         self._recording = GazeRecording(options.folder)
         self._said, self._said_until = "", 0.0
+        # Lines of frame times, of which frame, and since when.
+        self._lines: list[str] = []
+        self._told: ShownFrame | None = None
+        self._told_at = -math.inf
         self._visible = {Command.HUD, Command.RING, Command.CONTROLS}
         self._actions: dict[Command | ShownView, Callable[[], object]] = {
             Command.HOLD: self._toggle_hold,
@@ -179,6 +184,8 @@ class Viewer:
         seconds = self._held_keys.elapsed(now)
         if self._said and now >= self._said_until:
             self.say("")
+        if self._tells(now):
+            self._shell.refresh()
         if now >= self._settles:
             self._settles, self._size = math.inf, self.pixels
         if self.bench is not None and self.bench.is_over(now):
@@ -220,7 +227,16 @@ class Viewer:
         is_final = camera is not None and (camera.width, camera.height) == self.pixels
         if self.bench is not None and not self.bench.has_begun and is_final:
             self.bench.begin(time.perf_counter())
+        self._tells(time.perf_counter())
         self._shell.refresh()
+
+    def _tells(self, now: float) -> bool:
+        """Whether the frame times that are shown are others from now on."""
+        if self.shown is self._told or now - self._told_at < _READ or self.shown is None:
+            return False
+        self._told, self._told_at = self.shown, now
+        self._lines = lines_of(self.shown, self.meter)
+        return True
 
     @property
     def mouse_moves(self) -> bool:
@@ -234,7 +250,7 @@ class Viewer:
     @property
     def hud(self) -> list[str]:
         """Lines in the upper left corner."""
-        return lines_of(self.shown, self.meter) if self.shows(Command.HUD) and self.shown else []
+        return self._lines if self.shows(Command.HUD) else []
 
     @property
     def overlay(self) -> list[str]:

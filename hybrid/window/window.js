@@ -10,14 +10,14 @@ function hybridWindow(root, send, setTitle) {
     ['.canvas', 'canvas', '.hud', '.overlay', 'progress', 'span', '.panel'].map((name) => root.querySelector(name));
   const context = canvas.getContext('2d', { alpha: false });
   const state = {}, rows = {};
-  let picture, disc, lost = '', sized = false, mover, drawing = Promise.resolve();
+  let picture, size, disc, lost = '', sized = false, mover, drawing = Promise.resolve();
 
   const tell = (type, more, timestamp) => send({ type, timestamp: timestamp ?? performance.now(), ...more });
 
   // The frame in its own proportions, as large as it fits, and the ring around its disc.
   function place() {
-    const scale = Math.min(canvas.width / picture.width, canvas.height / picture.height);
-    const [width, height] = [scale * picture.width, scale * picture.height];
+    const scale = Math.min(canvas.width / size[0], canvas.height / size[1]);
+    const [width, height] = size.map((side) => scale * side);
     return [(canvas.width - width) / 2, (canvas.height - height) / 2, width, height];
   }
   function draw() {
@@ -33,27 +33,40 @@ function hybridWindow(root, send, setTitle) {
     context.stroke();
   }
 
+  // Other browsers, and pages that were not sent over a safe connection, have no decoder. A blob takes a millisecond
+  // of the browser's time.
+  async function decode(bytes, type) {
+    if (!window.ImageDecoder) return createImageBitmap(new Blob([bytes], { type }));
+    const decoder = new ImageDecoder({ type, data: bytes });
+    const { image } = await decoder.decode();
+    decoder.close();
+    return image;
+  }
   async function show(frame, bytes) {
-    const decoded = await createImageBitmap(new Blob([bytes], { type: frame.type }));
+    const decoded = await decode(bytes, frame.type);
     picture?.close();
     [picture, disc] = [decoded, frame];
+    size = [decoded.displayWidth ?? decoded.width, decoded.displayHeight ?? decoded.height];
     draw();
     box.dataset.frame = frame.number;
     // Right before the page is painted; a page that is hidden is not, and gets no further frames.
     requestAnimationFrame(() => tell('shown', { frame: frame.number }));
   }
 
+  // Text that stays as it is would be laid out again, too.
+  const put = (element, text) => { if (element.textContent !== text) element.textContent = text; };
   function write() {
-    hud.textContent = (state.hud ?? []).join('\n');
-    overlay.textContent = lost || (state.overlay ?? []).join('\n');
-    line.textContent = state.line ?? '';
+    put(hud, (state.hud ?? []).join('\n'));
+    put(overlay, lost || (state.overlay ?? []).join('\n'));
     progress.hidden = !state.progress;
+    let text = state.line ?? '';
     if (state.progress) {
       const [activity, done, total] = state.progress;
       if (total) Object.assign(progress, { value: done, max: total });
       else progress.removeAttribute('value');
-      line.textContent = total ? `${activity} ${done} / ${total}` : activity;
+      text = total ? `${activity} ${done} / ${total}` : activity;
     }
+    put(line, text);
     panel.hidden = !state.panel;
   }
 
@@ -85,18 +98,21 @@ function hybridWindow(root, send, setTitle) {
     }
   }
 
-  // For a bench: a mouse that moves along points of the frame, one after the other.
+  // For a bench: a mouse that moves along points of the frame, one after the other. As for one of flesh and blood, the
+  // browser tells of it once before each painting.
   function follow(path) {
-    clearInterval(mover);
+    cancelAnimationFrame(mover);
     const began = performance.now();
-    mover = path && setInterval(() => {
+    const move = () => {
+      mover = requestAnimationFrame(move);
       const step = Math.floor((performance.now() - began) / path.ms) % path.points.length;
       const [x, y, width, height] = place(), edge = canvas.getBoundingClientRect(), ratio = canvas.width / edge.width;
       canvas.dispatchEvent(new PointerEvent('pointermove', {
         clientX: edge.x + (x + path.points[step][0] * width) / ratio,
         clientY: edge.y + (y + path.points[step][1] * height) / ratio,
       }));
-    }, path.ms);
+    };
+    if (path) move();
   }
 
   const point = (event) => {
