@@ -207,8 +207,8 @@ def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
 
 
 # Steps of which the first ones are slow, and after which it is told for the first time how long one takes;
-# then whenever there are twice as many, in the share of the training that has one layer only.
-_SLOW, _FIRST_TOLD, _TELLING = 3, 8, 0.35
+# then whenever there are twice as many, and at last after this share of the training.
+_SLOW, _FIRST_TOLD, _TELLING = 3, 8, 0.6
 
 
 def _run(trainer: Trainer, checkpoint: Path, frames: Frames, progress: Steps, paced: Paced | None) -> None:
@@ -236,8 +236,8 @@ def _run(trainer: Trainer, checkpoint: Path, frames: Frames, progress: Steps, pa
 
 def _pace(trainer: Trainer, checkpoint: Path, step: Callable[[int], None], paced: Paced) -> None:
     """Trains as long as steps tell how many there can be."""
-    until, slow = _FIRST_TOLD, _SLOW
-    while until <= _TELLING * trainer.settings.iterations:
+    told, slow = 0, _SLOW
+    while (until := max(_FIRST_TOLD, min(2 * told, int(_TELLING * trainer.settings.iterations)))) > told:
         # Unless this run began later.
         if trainer.iteration + slow < until:
             trainer.run(step, trainer.iteration + slow)
@@ -247,4 +247,4 @@ def _pace(trainer: Trainer, checkpoint: Path, step: Callable[[int], None], paced
             # It is of another number of steps from now on.
             checkpoint.unlink(missing_ok=True)
             trainer.last(paced(seconds, until, trainer.fewest))
-        until *= 2
+        told = until

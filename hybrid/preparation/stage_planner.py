@@ -293,7 +293,7 @@ class Planner:
             seconds *= _LATER
         possible = done + int(left / seconds)
         # No more than planned where the time that they leave is of use to further views.
-        left -= seconds * (stage.steps - done)
+        left -= seconds * max(0, stage.steps - done)
         following = next_stage(self.stages, self._needs, pace, left, self._settings.stages)
         if following is not None and following.views:
             possible = min(possible, stage.steps)

@@ -93,7 +93,7 @@ class LayerTraining:
         self._motion, self._all_harmonics = motion, all_harmonics
         self._light = None if light is None else NodeLight(light)
         self.views, self.done, self.skipped, self.begun, self.stepped = views, 0, 0, False, False
-        self._arrays, self._steps, self._seed = arrays, steps, seed
+        self._arrays, self._steps, self._seed = arrays, max(1, steps), seed
         # What moves, and light that changes, are shown on the host.
         still = motion is None and light is None
         self._device = arrays.device if still else HOST
@@ -117,10 +117,10 @@ class LayerTraining:
             self._light.follow(self.layer)
 
     def last(self, steps: int) -> None:
-        """Makes it so many steps in all."""
-        self._steps = steps
+        """Makes it so many steps in all, one at least."""
+        self._steps = max(1, steps)
         if self.begun:
-            self._density.iterations = steps
+            self._density.iterations = self._steps
 
     def extend(self, layer: Layer) -> None:
         """Continues with the same nodes, possibly with other parents, and with new nodes after them."""

@@ -41,6 +41,8 @@ _ALONE = 0.4
 _ALONE_AGAIN = 0.6
 # Share of the later steps that the finest layer gets, which has four times the pixels of the next one.
 _FINEST = 0.6
+# Share of the steps up to which their number can change: of what is still due, nothing is missed then.
+_OPEN = 0.7
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
 # Share of the Gaussians that training begins with where distances are guessed.
@@ -159,10 +161,10 @@ class Trainer:
         self._alone = _ALONE if start is None else _ALONE_AGAIN
         further = self.motion, self.light, settings.all_harmonics
         self._layers: list[LayerTraining] = []
+        self.iteration = 0
         for index, steps in enumerate(self._scheduled()):
             images = at_resolution(views, settings.layers - 1 - index)
             self._layers.append(LayerTraining(arrays, images, steps, [settings.seed, index], *further))
-        self.iteration = 0
         rng = np.random.default_rng([settings.seed, 0])
         if start is None:
             lit = None if self.light is None else NodeLight(self.light)
@@ -177,25 +179,29 @@ class Trainer:
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def _scheduled(self) -> list[int]:
+        """Schedules all steps; returns how many each layer still gets."""
         self._schedule = training_schedule(self.settings, self._alone)
         self._settling = int(_SETTLED * self.settings.iterations)
-        return np.bincount(self._schedule, minlength=self.settings.layers).clip(min=1).tolist()
+        return np.bincount(self._schedule[self.iteration :], minlength=self.settings.layers).tolist()
+
+    def _reschedule(self) -> None:
+        for training, steps in zip(self._layers, self._scheduled(), strict=True):
+            training.last(training.done + steps)
 
     @property
     def fewest(self) -> int:
         """Steps in all that there can still be."""
-        return math.ceil(self.iteration / _ALONE)
+        return math.ceil(self.iteration / _OPEN)
 
     def last(self, iterations: int) -> None:
-        """Makes it so many steps in all, while there is one layer yet.
+        """Makes it so many steps in all.
 
-        ValueError if some of these steps would have been of other layers.
+        ValueError if these are fewer than there can still be, or it is too late for a change.
         """
         if self.fewest > min(iterations, self.settings.iterations):
             raise ValueError(f"after {self.iteration} steps, there cannot be {iterations} in all any more")
         self.settings = replace(self.settings, iterations=iterations)
-        for training, steps in zip(self._layers, self._scheduled(), strict=True):
-            training.last(steps)
+        self._reschedule()
         if self._field is not None:
             self._field.steps = iterations
 
@@ -275,6 +281,8 @@ class Trainer:
         if self._field is not None:
             self._field.restore(under(_FIELD, tensors))
         self.iteration = int(numbers["iteration"])
+        # Their number may have changed when some were taken.
+        self._reschedule()
 
 
 def _require_enough(

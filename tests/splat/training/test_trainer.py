@@ -144,18 +144,20 @@ def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, often, s
     assert same(short, second)
 
 
-def test_early_on_the_number_of_steps_can_change(arrays, short, often):
-    """All that depends on it follows: with the same number, nothing changes."""
+@pytest.mark.parametrize("until", [8, 25])
+def test_the_number_of_steps_can_change(arrays, short, often, until):
+    """Early on and amid all layers. All that depends on it follows: with the same number, nothing changes."""
     same_number, fewer = Trainer(arrays, WALLS, SHORT), Trainer(arrays, WALLS, SHORT)
     for trainer, last in ((same_number, 60), (fewer, 40)):
-        trainer.run(until=8)
+        trainer.run(until=until)
         trainer.last(last)
         trainer.run()
         assert trainer.iteration == trainer.settings.iterations == last
         check_forest(trainer.forest())
+        assert all(layer.done == layer._steps for layer in trainer._layers)
     assert same(short, same_number)
     assert sum(layer.done for layer in fewer._layers) == 40
-    assert min(layer.done for layer in fewer._layers) > 5
+    assert min(layer.done for layer in fewer._layers) > 3
     # As at the end of a training that was meant to have as many.
     whole = Trainer(arrays, WALLS, replace(SHORT, iterations=40))
     whole.run()
@@ -163,11 +165,29 @@ def test_early_on_the_number_of_steps_can_change(arrays, short, often):
     np.testing.assert_allclose(*counts, rtol=0.1)
 
 
-def test_once_there_are_layers_it_cannot(arrays, often):
+def test_what_has_changed_holds_after_an_interruption(arrays, often):
+    """The next run is begun with the number that there was at last."""
+    first = Trainer(arrays, WALLS, SHORT)
+    first.run(until=25)
+    first.last(40)
+    first.run(until=31)
+    tensors, numbers = first.state()
+    tensors = {name: tensor.clone() for name, tensor in tensors.items()}
+    second = Trainer(arrays, WALLS, replace(SHORT, iterations=40))
+    second.restore(tensors, numbers)
+    for trainer in (first, second):
+        trainer.run()
+    assert same(first, second)
+
+
+def test_near_the_end_it_cannot(arrays, often):
     trainer = Trainer(arrays, WALLS, SHORT)
     trainer.run(until=20)
-    with pytest.raises(ValueError, match="after 20 steps, there cannot be 49 in all any more"):
-        trainer.last(49)
+    with pytest.raises(ValueError, match="after 20 steps, there cannot be 28 in all any more"):
+        trainer.last(28)
+    trainer.run(until=43)
+    with pytest.raises(ValueError, match="after 43 steps, there cannot be 100 in all any more"):
+        trainer.last(100)
 
 
 def test_another_seed_gives_another_forest(arrays, short, often):
