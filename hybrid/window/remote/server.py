@@ -75,6 +75,8 @@ _BURST = 2.0
 # Discs per second of one client, those that may be on their way when the view has changed, and seconds after
 # which one counts as come.
 _DISC_RATE, _DISCS, _DISC_ARRIVES = 30.0, 3, 0.4
+# Seconds for which a disc waits at most while masks of many clients keep the thread that renders busy.
+_DISC_WAITS = 1.0
 # Connections that have not said who they are, for each client that there may be, and some more.
 _STRANGERS_PER_CLIENT, _STRANGERS = 1, 32
 
@@ -188,6 +190,9 @@ class ViewServer:
             ).result()
         self._clients: set[_Client] = set()
         self._open: set[_Connection] = set()
+        # Masks that are asked for and not found yet; and whether there are none.
+        self._masks, self._no_masks = 0, asyncio.Event()
+        self._no_masks.set()
         self.facts = dict.fromkeys(_FACTS, 0)
 
     async def run(self, where: Listening, announce: Callable[[int], object]) -> None:
@@ -326,6 +331,10 @@ class ViewServer:
             if client.disc is None and self._discs:
                 client.disc = self._discs.pop()
                 await on_worker(client.disc.forget)
+            if len(self._clients) > 1:
+                # Without a mask, others have no picture at all.
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(self._no_masks.wait(), _DISC_WAITS)
             begin, message = time.monotonic(), DiscMessage(asked[0].sequence)
             if client.disc is not None:
                 message = await on_worker(client.disc.message, *asked, len(self._clients) > 1)
@@ -346,7 +355,14 @@ class ViewServer:
             split, level = self._cuts.split(view, before)
             return split, level, encoded_mask(split, np.zeros_like(split) if known is None else known)
 
-        split, level, content = await asyncio.get_running_loop().run_in_executor(self._worker, found)
+        self._masks += 1
+        self._no_masks.clear()
+        try:
+            split, level, content = await asyncio.get_running_loop().run_in_executor(self._worker, found)
+        finally:
+            self._masks -= 1
+            if not self._masks:
+                self._no_masks.set()
         return MaskMessage(client.sends(split), base, view.sequence, level, content).packed()
 
 
