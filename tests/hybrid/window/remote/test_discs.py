@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
+import time
 import zlib
 from dataclasses import replace
 
@@ -24,6 +26,7 @@ from hybrid.render.image_files import jpeg_bytes
 from hybrid.render.splat_renderer import SplatRenderer
 from hybrid.window.messages import Request, ShownView
 from hybrid.window.remote import disc_tracing
+from hybrid.window.remote import server as server_module
 from hybrid.window.remote.disc_messages import (
     MOST_PIXELS,
     DiscMessage,
@@ -38,7 +41,7 @@ from hybrid.window.remote.source import RemoteSource
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
-from tests.hybrid.window.remote.conftest import ACUITY, shown_at_last, until
+from tests.hybrid.window.remote.conftest import ACUITY, LONG, shown_at_last, until
 
 DISPLAY = DISPLAYS["desktop"]
 WANTED = DiscWanted(20.0, 15.0, 1)
@@ -71,6 +74,14 @@ def refined(traced, settings: FrameSettings):
 
 def view(camera: Camera, gaze: Gaze, sequence: int = 1) -> ViewMessage:
     return ViewMessage(sequence, 0, camera, gaze, DISPLAY)
+
+
+def waiting(holds) -> None:
+    """Waits for something that a server's thread brings about."""
+    deadline = time.monotonic() + LONG
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(1e-3)
 
 
 class TestTracing:
@@ -354,6 +365,36 @@ class TestStreaming:
                 gaze += 1e-3
                 second.look(box, Gaze(gaze, 0.5), DISPLAY)
                 until(second, lambda: second.is_current)
+            second.close()
+
+    @pytest.mark.parametrize(
+        ("waits", "order"), [(1e3, ("mask", "mask", "disc")), (0.0, ("mask", "disc", "mask"))]
+    )
+    def test_discs_wait_for_masks_of_all_clients_but_not_for_ever(
+        self, serve, traced, box, monkeypatch, waits, order
+    ):
+        monkeypatch.setattr(server_module, "_DISC_WAITS", waits)
+        with serve(traced=traced, given=traced[1]) as served:
+            first, second = served.link(), served.link()
+            first.want(WANTED)
+            for remote in (first, second):
+                remote.look(box, Gaze(), DISPLAY)
+                until(remote, lambda remote=remote: remote.is_current)
+            until(first, lambda: first.disc_is_final)
+            server, done, gate = served.server, [], threading.Event()
+            cut, trace = server._cuts.split, DiscServer.message
+            monkeypatch.setattr(server._cuts, "split", lambda *given: done.append("mask") or cut(*given))
+            monkeypatch.setattr(DiscServer, "message", lambda *given: done.append("disc") or trace(*given))
+            jobs = server._worker._work_queue
+            server._worker.submit(gate.wait)
+            first.look(box, Gaze(0.6, 0.5), DISPLAY)
+            waiting(lambda: jobs.qsize() == (1 if waits else 2))
+            second.look(box, Gaze(0.6, 0.5), DISPLAY)
+            waiting(lambda: jobs.qsize() == (2 if waits else 3))
+            gate.set()
+            waiting(lambda: len(done) >= 3)
+            assert tuple(done[:3]) == order
+            first.close()
             second.close()
 
     def test_a_server_without_discs_says_so(self, serve, camera):
