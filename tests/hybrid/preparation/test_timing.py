@@ -251,6 +251,13 @@ def test_steps_are_not_saved_for_a_stage_that_only_goes_on(tmp_path):
     assert 400 <= planner.paced(0.04, 0, 1) <= 430
 
 
+def test_steps_beyond_those_planned_save_no_time(tmp_path):
+    """Further views take some 28 seconds, and 25 are left."""
+    planner = begun(tmp_path / "job", 1.0, 33.2)
+    assert planner.paced is not None
+    assert 900 <= planner.paced(0.04, 300, 429) <= 925
+
+
 @pytest.mark.parametrize("pace", [Seconds(1.0, 1.0), Seconds(3.0, 1.2), Seconds(0.2, 0.5)])
 @pytest.mark.parametrize("minutes", [1.0, 2.0, 3.0, 5.0, 12.0, 30.0, 120.0])
 def test_stages_use_the_time_and_no_more(tmp_path, monkeypatch, minutes, pace):
