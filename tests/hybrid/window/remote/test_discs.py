@@ -371,29 +371,41 @@ class TestStreaming:
         ("waits", "order"), [(1e3, ("mask", "mask", "disc")), (0.0, ("mask", "disc", "mask"))]
     )
     def test_discs_wait_for_masks_of_all_clients_but_not_for_ever(
-        self, serve, traced, box, monkeypatch, waits, order
+        self, serve, camera, monkeypatch, waits, order
     ):
+        done, gate = [], threading.Event()
+
+        class Disc:
+            """Is traced at once."""
+
+            def forget(self) -> None:
+                pass
+
+            def message(self, view: ViewMessage, *wanted: object) -> DiscMessage:
+                done.append("disc")
+                return DiscMessage(view.sequence)
+
         monkeypatch.setattr(server_module, "_DISC_WAITS", waits)
-        with serve(traced=traced, given=traced[1]) as served:
+        with serve() as served:
+            server = served.server
+            server._discs.append(Disc())
             first, second = served.link(), served.link()
             first.want(WANTED)
             for remote in (first, second):
-                remote.look(box, Gaze(), DISPLAY)
+                remote.look(camera, Gaze(), DISPLAY)
                 until(remote, lambda remote=remote: remote.is_current)
             until(first, lambda: first.disc_is_final)
-            server, done, gate = served.server, [], threading.Event()
-            cut, trace = server._cuts.split, DiscServer.message
+            cut, jobs = server._cuts.split, server._worker._work_queue
             monkeypatch.setattr(server._cuts, "split", lambda *given: done.append("mask") or cut(*given))
-            monkeypatch.setattr(DiscServer, "message", lambda *given: done.append("disc") or trace(*given))
-            jobs = server._worker._work_queue
+            done.clear()
             server._worker.submit(gate.wait)
-            first.look(box, Gaze(0.6, 0.5), DISPLAY)
+            first.look(camera, Gaze(0.6, 0.5), DISPLAY)
             waiting(lambda: jobs.qsize() == (1 if waits else 2))
-            second.look(box, Gaze(0.6, 0.5), DISPLAY)
+            second.look(camera, Gaze(0.6, 0.5), DISPLAY)
             waiting(lambda: jobs.qsize() == (2 if waits else 3))
             gate.set()
-            waiting(lambda: len(done) >= 3)
-            assert tuple(done[:3]) == order
+            waiting(lambda: len(done) == 3)
+            assert tuple(done) == order
             first.close()
             second.close()
 
