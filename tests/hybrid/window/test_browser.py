@@ -336,6 +336,10 @@ def test_the_window_in_chromium(browser, served):
     assert browser.execute_script("return document.querySelector('.panel').textContent.includes('samples 3')")
     move(browser, 0.3, 0.5)
     until(browser, lambda: is_at(browser, 0.3, 0.5))
+    # As in browsers that have no decoder.
+    assert browser.execute_script("return delete window.ImageDecoder && !window.ImageDecoder")
+    move(browser, 0.7, 0.4)
+    until(browser, lambda: is_at(browser, 0.7, 0.4))
     severe = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert not [message for message in severe if "favicon" not in message]
 
