@@ -1,3 +1,3 @@
 """What tests of the examples share with those of the product."""
 
-from tests.hybrid.conftest import small_caches  # noqa: F401  (a fixture)
+from tests.hybrid.conftest import little_work  # noqa: F401  (a fixture)

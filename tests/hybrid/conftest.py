@@ -14,15 +14,18 @@ from hybrid.preparation.scene_plan import ScenePlan, plan_of
 from hybrid.render import irradiance
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene
+from splat.training import picture_fit
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
 
 @pytest.fixture(scope="session", autouse=True)
-def small_caches() -> Iterator[None]:
-    """Caches of few points, plans of small frames: enough for small scenes, made for many cache folders."""
+def little_work() -> Iterator[None]:
+    """Caches of few points, plans of small frames, fits of few steps: enough for small scenes, made often."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(irradiance, "fill_cache", partial(fill_cache, points=1 << 13))
         monkeypatch.setattr(scene_look, "_LARGER_SIDE", 128)
+        monkeypatch.setattr(picture_fit, "_STEPS", 12)
+        monkeypatch.setattr(picture_fit, "_PER_VIEW", 0)
         yield
 
 

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-from tests.hybrid.conftest import own_home, small_caches  # noqa: F401  (fixtures)
+from tests.hybrid.conftest import little_work, own_home  # noqa: F401  (fixtures)
 from tests.hybrid.render.conftest import forest, renderer, scene  # noqa: F401  (fixtures)

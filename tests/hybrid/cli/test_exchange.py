@@ -32,13 +32,7 @@ from tests.pathtrace.gltf.building import Building, bending_tube
 from tests.splat.raster.plain_3dgs import picture
 from tests.splat.samples import equal
 
-pytestmark = pytest.mark.usefixtures("backend", "own_home", "few_steps")
-
-
-@pytest.fixture
-def few_steps(monkeypatch):
-    monkeypatch.setattr("splat.training.picture_fit._STEPS", 12)
-    monkeypatch.setattr("splat.training.picture_fit._PER_VIEW", 0)
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 
 @pytest.mark.parametrize(("options", "number"), [(["--layer", 1], 1), (["--layer", 2], 2), ([], 2)])

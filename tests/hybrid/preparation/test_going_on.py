@@ -43,6 +43,16 @@ def first(tmp_path_factory, backend) -> tuple[Prepared, Path]:
         return prepare(load_scene("cornell"), LIVE, no_bars, folder), folder
 
 
+@pytest.fixture(scope="module")
+def short(tmp_path_factory, backend) -> tuple[Prepared, Path]:
+    """The same without its last stage."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
+        make_tiny(patch.setattr)
+        folder = tmp_path_factory.mktemp("short")
+        return prepare(load_scene("cornell"), replace(LIVE, quality="draft"), no_bars, folder), folder
+
+
 def changed(folder: Path, old: str, new: str) -> Scene:
     """The Cornell box with another text in its file."""
     text, file = bundled_scenes()["cornell"].read_text(), folder / "cornell" / "scene.xml"
@@ -82,14 +92,10 @@ def test_what_has_changed_is_learnt_in_the_frames_that_there_are(first, tmp_path
     assert again.forest.digest() == prepared.forest.digest()
 
 
-def test_the_stages_that_were_planned_follow(first, tmp_path):
+def test_the_stages_that_were_planned_follow(first, short, tmp_path):
     """Where the other preparation had not come to them."""
-    before, _ = first
-    short = tmp_path / "short"
-    settings = replace(LIVE, quality="draft")
-    scene = load_scene("cornell")
-    begun = prepare(scene, settings, no_bars, short)
-    prepared, told = gone_on(scene, Beginning(begun.forest, (short,)), tmp_path / "now")
+    before, (begun, folder) = first[0], short
+    prepared, told = gone_on(load_scene("cornell"), Beginning(begun.forest, (folder,)), tmp_path / "now")
     assert [one.number for one in told] == [3]
     assert len(read_frame_set(tmp_path / "now" / "frames").training) == VIEWS
     assert abs(prepared.facts["trained_psnr"] - before.facts["trained_psnr"]) < 3
@@ -148,9 +154,8 @@ def test_the_job_that_traced_last_is_the_newest(first):
     given="a folder without a journal, with half of one, with frames that are missing",
     expected="begun anew",
 )
-def test_a_preparation_that_cannot_be_gone_on_from_is_begun_anew(first, tmp_path, got, caplog):
-    before, folder = first[0], tmp_path / "short"
-    prepare(load_scene("cornell"), replace(LIVE, quality="draft"), no_bars, folder)
+def test_a_preparation_that_cannot_be_gone_on_from_is_begun_anew(first, short, tmp_path, got, caplog):
+    before, folder = first[0], short[1]
     assert earlier_job(tmp_path) is None
     scene, broken = load_scene("cornell"), scene_folder("cornell", "0" * 64) / "live-broken"
     (broken / "frames").mkdir(parents=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -71,8 +72,25 @@ def tiny(monkeypatch):
     make_tiny(monkeypatch.setattr)
 
 
-def test_each_stage_is_told_with_its_forest_and_the_last_one_again(tiny):
-    told = learn(Task())
+@pytest.fixture(scope="module")
+def first_home(tmp_path_factory, backend) -> tuple[Path, list[tuple[str, Path | None]]]:
+    """A cache folder in which the Cornell box is learnt, and what was told."""
+    home = tmp_path_factory.mktemp("first")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYBRID_HOME", str(home))
+        make_tiny(patch.setattr)
+        return home, learn(Task())
+
+
+@pytest.fixture
+def learnt(first_home, tiny):
+    """The Cornell box is learnt in the cache folder."""
+    shutil.copytree(first_home[0], os.environ["HYBRID_HOME"], dirs_exist_ok=True)
+
+
+def test_each_stage_is_told_with_its_forest_and_the_last_one_again(first_home, tiny, monkeypatch):
+    home, told = first_home
+    monkeypatch.setenv("HYBRID_HOME", str(home))
     assert [line.split(", ")[0].split("frames ")[-1] for line, _ in told] == [
         "after stage 1 of 3",
         "after stage 2 of 3",
@@ -299,10 +317,9 @@ def test_a_viewer_who_looks_at_nothing_is_not_followed(own_source, monkeypatch):
     assert not watched.tasks
 
 
-def test_learning_goes_on_where_it_was(tiny):
+def test_learning_goes_on_where_it_was(learnt):
     """In another window, which is not told of the place."""
     scene = as_planned(load_scene("cornell"))
-    learn(Task())
     pose = scene.camera.camera_to_world.copy()
     pose[:3, 3] -= 0.2 * scene.surfaces().median_distance(scene.camera) * pose[:3, 2]
     place, before = scene.camera.at(pose).key.hex(), newest_job(scene)
@@ -316,12 +333,11 @@ def test_learning_goes_on_where_it_was(tiny):
     assert learn(Task()) == [there[-1]]
 
 
-def test_of_a_change_a_little_is_learnt_soon_and_then_all(tiny, tmp_path, monkeypatch):
+def test_of_a_change_a_little_is_learnt_soon_and_then_all(learnt, tmp_path, monkeypatch):
     """The first forest comes from new frames alone, the next ones from those of before."""
     # So few samples differ from others in every tile.
     monkeypatch.setattr(changed_frames, "_LIGHT", 0.15)
     scene = as_planned(load_scene("cornell"))
-    learn(Task())
     file = tmp_path / "cornell" / "scene.xml"
     file.parent.mkdir()
     text = bundled_scenes()["cornell"].read_text()
