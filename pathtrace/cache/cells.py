@@ -1,14 +1,11 @@
-"""Cells of surface: places of about one size and orientation, their names, and the hash table of these.
-
-The same names are found with NumPy, where a cache is filled, and with Dr.Jit, where paths look it up.
-"""
+"""Cells of surface: places of about one size and orientation, their names, and the hash table of these."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -75,9 +72,17 @@ class Grid:
 
     def keys(self, points: Points, level: int) -> NDArray[np.uint64]:
         """(N,) both names of the cells that points lie in, as one number."""
-        local = (points.position - self.origin) / np.float32(self.scale)
-        first, second = _names(local, points.normal, level)
-        return first.astype(np.uint64) << np.uint64(32) | second
+        if not len(points):
+            return np.zeros(0, dtype=np.uint64)
+        first, second = cell_names(*self.local(points), level)
+        dr.eval(first, second)
+        keys: NDArray[np.uint64] = first.numpy().astype(np.uint64) << np.uint64(32) | second.numpy()
+        return keys
+
+    def local(self, points: Points) -> tuple[mi.Point3f, mi.Normal3f]:
+        """Points as `cell_names` takes them."""
+        (origin, scale), (position, normal) = self.arrays, points.arrays
+        return (position - origin) / scale, normal
 
     @cached_property
     def arrays(self) -> tuple[Any, Any]:
@@ -86,9 +91,6 @@ class Grid:
         dr.make_opaque(arrays)
         return arrays
 
-
-# Of NumPy or Dr.Jit.
-_Integers = TypeVar("_Integers")
 
 # Whether nothing lies between points, given by their indices (M,) each, and the side of their cell.
 Joined = Callable[[Indices, Indices, float], Mask]
@@ -144,49 +146,44 @@ class Cells:
 
     def indices(self, points: Points) -> Indices:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
-        start, found = 0, []
-        for level, keys in enumerate(self.keys):
-            key = self.grid.keys(points, level)
-            place = np.minimum(np.searchsorted(keys, key), max(len(keys) - 1, 0))
-            known = keys[place] == key if len(keys) else np.zeros(len(key), dtype=bool)
-            found.append(np.where(known, start + place, -1))
-            start += len(keys)
-        return np.stack(found)
+        if not len(points):
+            return np.zeros((len(SIDES), 0), dtype=np.int64)
+        local, found = self.grid.local(points), []
+        for level in range(len(SIDES)):
+            known, cell = find(self.table.arrays, *cell_names(*local, level), mi.Bool(True))
+            found.append(dr.select(known, mi.Int32(cell), -1))
+        dr.eval(found)
+        return np.stack([one.numpy() for one in found]).astype(np.int64)
+
+    @cached_property
+    def table(self) -> Table:
+        """Finds the cells of all levels."""
+        return Table(np.concatenate(self.keys))
 
 
-def _names(position: Floats, normal: Floats, level: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Two names (N,) of the cells of a level; positions are in units of the scale, from the origin."""
-    x, y, z = np.floor(position / np.float32(SIDES[level])).astype(np.int64).astype(np.uint32).T
-    axis = np.abs(normal).argmax(axis=1)
-    orientation = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
-    kind = (orientation + _ORIENTATIONS * level).astype(np.uint32)
-    first, second = (_mixed((x, y, z, kind), factors, np.uint32) for factors in _FACTORS)
-    # 0 marks an empty place in a table.
-    return first, second | np.uint32(1)
-
-
-def cell_names_jit(position: mi.Point3f, normal: mi.Normal3f, level: int) -> tuple[Any, Any]:
-    """Two names of the cells of a level that N Mitsuba points lie in, from points and their normals."""
+def cell_names(position: mi.Point3f, normal: mi.Normal3f, level: int) -> tuple[Any, Any]:
+    """Two names of the cells of a level that N points lie in, in units of the scale, from the origin."""
     x, y, z = (mi.UInt32(mi.Int32(values)) for values in dr.floor(position / SIDES[level]))
     size = dr.abs(normal)
-    # Ties go to the first axis, as in numpy.
+    # Ties go to the first axis.
     last = dr.select(size.y >= size.z, mi.UInt32(1), mi.UInt32(2))
     axis = dr.select((size.x >= size.y) & (size.x >= size.z), mi.UInt32(0), last)
     along = dr.select(axis == 0, normal.x, dr.select(axis == 1, normal.y, normal.z))
     kind = 2 * axis + dr.select(along > 0, mi.UInt32(1), mi.UInt32(0)) + _ORIENTATIONS * level
-    first, second = (_mixed((x, y, z, kind), factors, mi.UInt32) for factors in _FACTORS)
+    first, second = (_mixed((x, y, z, kind), factors) for factors in _FACTORS)
+    # 0 marks an empty place in a table.
     return first, second | 1
 
 
-def _mixed(parts: Sequence[Any], factors: tuple[int, ...], integer: Callable[[int], _Integers]) -> _Integers:
+def _mixed(parts: Sequence[Any], factors: tuple[int, ...]) -> mi.UInt32:
     """32 bits in which neighbouring cells have nothing in common, by the finalizer of MurmurHash3 (Appleby).
 
     A sum of products gives cells near each other different numbers, which an exclusive or would not.
     """
-    bits = sum(part * integer(factor) for part, factor in zip(parts, factors, strict=True))
-    bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)
-    bits = (bits ^ (bits >> integer(13))) * integer(0xC2B2AE35)
-    return bits ^ (bits >> integer(16))
+    bits = sum(part * mi.UInt32(factor) for part, factor in zip(parts, factors, strict=True))
+    bits = (bits ^ (bits >> 16)) * mi.UInt32(0x85EBCA6B)
+    bits = (bits ^ (bits >> 13)) * mi.UInt32(0xC2B2AE35)
+    return bits ^ (bits >> 16)
 
 
 class Table:

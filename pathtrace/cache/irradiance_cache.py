@@ -9,7 +9,6 @@ al. 2021, eq. 3).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -17,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import SIDES, Cells, Floats, Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import SIDES, Cells, Floats, Grid, Points, cell_names, find
 from pathtrace.cache.light_selection import LightChoice, LightSamples
 from pathtrace.cache.transport import Transfer
 
@@ -50,17 +49,13 @@ class IrradianceCache:
     @property
     def bytes(self) -> int:
         """Memory that paths read from; `transfer` takes more."""
-        return self._table.names.nbytes + self._table.indices.nbytes + self.irradiance.nbytes
-
-    @cached_property
-    def _table(self) -> Table:
-        return Table(np.concatenate(self.cells.keys))
+        return self.cells.table.names.nbytes + self.cells.table.indices.nbytes + self.irradiance.nbytes
 
     def arrays(self, scene: mi.Scene) -> CacheArrays:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
-        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *self._channels()
+        known = self.cells.grid.arrays, self.cells.table.arrays, steps, cells, *self._channels()
         return CacheArrays(known, self.lights.arrays(scene))
 
     def relit(self, arrays: CacheArrays) -> CacheArrays:
@@ -112,7 +107,7 @@ def look_up(
         asks = active & (spread >= side * side)
         # Where the neighbour is not known, the cell itself is nearer than a larger one of both.
         for place in (local + across * side, local):
-            found, index = find(table, *cell_names_jit(place, normal, level), asks & ~known)
+            found, index = find(table, *cell_names(place, normal, level), asks & ~known)
             cell = dr.select(found, index, cell)
             known |= found
     cell += (dr.minimum(segments, steps) - 1) * cells

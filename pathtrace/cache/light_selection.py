@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
-from pathtrace.cache.cells import Floats, Grid, Indices, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import Floats, Grid, Indices, Points, Table, cell_names, find
 from pathtrace.scene.instances import AnyScene
 
 # Surfaces that a shadow ray passes at most.
@@ -152,7 +152,7 @@ class Lights:
     def row(self, position: mi.Point3f, side: mi.Normal3f, active: mi.Bool) -> mi.UInt32:
         """Row of chances at N surface points with normals of the lit side."""
         origin, scale = self._grid
-        names = cell_names_jit((position - origin) / scale, side, _LEVEL)
+        names = cell_names((position - origin) / scale, side, _LEVEL)
         known, cell = find(self._table, *names, active)
         return dr.select(known, cell, self._rows)
 

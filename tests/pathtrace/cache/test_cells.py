@@ -1,4 +1,4 @@
-"""Cells: one name in NumPy and Dr.Jit, no two with the same, none that something divides; their tables."""
+"""Cells: their names, no two with the same, none that something divides; their tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_jit, find
+from pathtrace.cache.cells import _FACTORS, SIDES, Cells, Grid, Points, Table, find
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -25,22 +25,44 @@ def points(count: int, spread: float = 1.0) -> Points:
     return Points(position.astype(np.float32), normal.astype(np.float32))
 
 
+def mixed(parts, factors) -> int:
+    """The finalizer of MurmurHash3 of a sum of products, in Python's own numbers."""
+    bits = sum(int(part) * factor for part, factor in zip(parts, factors, strict=True)) & 0xFFFFFFFF
+    bits = (bits ^ bits >> 16) * 0x85EBCA6B & 0xFFFFFFFF
+    bits = (bits ^ bits >> 13) * 0xC2B2AE35 & 0xFFFFFFFF
+    return bits ^ bits >> 16
+
+
+def plain_key(position, normal, level: int) -> int:
+    place = np.floor(position / np.float32(SIDES[level])).astype(int)
+    axis = int(np.abs(normal).argmax())
+    kind = 2 * axis + (normal[axis] > 0) + 8 * level
+    first, second = (mixed((*place, kind), factors) for factors in _FACTORS)
+    return first << 32 | second | 1
+
+
 @pytest.mark.parametrize("level", range(len(SIDES)))
-def test_kernels_find_the_same_names(level):
-    some = points(5000, 30)
-    first, second = cell_names_jit(mi.Point3f(some.position.T), mi.Normal3f(some.normal.T), level)
-    keys = GRID.keys(some, level)
-    assert (first.numpy() == keys >> np.uint64(32)).all()
-    assert (second.numpy() == keys & np.uint64(0xFFFFFFFF)).all()
+def test_names_are_those_of_integers_of_any_size(level):
+    some = points(500, 30)
+    expected = [plain_key(p, n, level) for p, n in zip(some.position, some.normal, strict=True)]
+    assert GRID.keys(some, level).tolist() == expected
 
 
-def test_normals_along_axes_have_the_same_names_in_kernels():
+def test_names_are_relative_to_the_grid():
+    """To half a cell, as rounding may move what lies at a border."""
+    some, side = points(500), SIDES[1]
+    position = (np.floor(some.position / side) + 0.5) * side
+    grid = Grid(np.float32([5, -3, 0.25]), 2.5)
+    moved = Points((2.5 * position + grid.origin).astype(np.float32), some.normal)
+    own = Points(position.astype(np.float32), some.normal)
+    np.testing.assert_array_equal(grid.keys(moved, 1), GRID.keys(own, 1))
+
+
+def test_names_of_normals_along_axes():
     normal = np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 0], [0, 1, 1], [1, 0, 1]] / np.sqrt(2)])
     some = Points(np.full((9, 3), 0.1, dtype=np.float32), normal.astype(np.float32))
-    first, second = cell_names_jit(mi.Point3f(some.position.T), mi.Normal3f(some.normal.T), 0)
     keys = GRID.keys(some, 0)
-    assert (first.numpy() == keys >> np.uint64(32)).all()
-    assert (second.numpy() == keys & np.uint64(0xFFFFFFFF)).all()
+    assert keys.tolist() == [plain_key(p, n, 0) for p, n in zip(some.position, some.normal, strict=True)]
     assert len(np.unique(keys[:6])) == 6
 
 
