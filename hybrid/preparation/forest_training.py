@@ -136,6 +136,7 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     light: SurfaceLight | None = None,
     precision: Precision = Precision.COMPACT,
     paced: Paced | None = None,
+    learns_errors: bool = True,
 ) -> Forest:
     """Trains a forest and writes it to a file; resumes if interrupted.
 
@@ -149,7 +150,8 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
         light: on the surfaces that the frames show, in their coordinates; None if it is not known to change.
         precision: of the numbers in the file, which are those of the forest that is returned.
         paced: says how many steps it will be, LEAST_PACED or more; as in the settings if None, and in
-            trainings of fewer. Such a forest does not learn yet where it is wrong: others will follow.
+            trainings of fewer.
+        learns_errors: whether the forest learns where it is wrong; see `with_errors`.
 
     UserError if there are no frames to train on, a motion is to be learned from frames of a single time, a
     frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers, or the
@@ -179,7 +181,7 @@ def train(  # noqa: PLR0913 (a training's parts, each with one user)
     if precision is Precision.COMPACT:
         # Before the errors, which are those of what will be drawn.
         forest = compact(forest)
-    if paced is None:
+    if learns_errors:
         forest = with_errors(frames, forest)
     forest = attach_plan(attach_views(forest, cameras), plan_with(frames, settings))
     save_forest(path, forest)

@@ -311,8 +311,19 @@ class _Job:
         settings = planned_settings(
             frames, iterations=self.planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
         )
+        # That takes a second, for which nobody waits who waits for a first look, or has so many minutes.
+        learns_errors = self.settings.quality != GLIMPSE and self.planner.paced is None
         with self.bars(f"stage {number + 1}: forest (steps)") as bar:
-            forest = train(frames, path, settings, bar, start=before, light=light, paced=self.planner.paced)
+            forest = train(
+                frames,
+                path,
+                settings,
+                bar,
+                start=before,
+                light=light,
+                paced=self.planner.paced,
+                learns_errors=learns_errors,
+            )
         self.planner.lap("training")
         return forest
 

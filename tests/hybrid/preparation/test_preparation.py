@@ -17,7 +17,7 @@ from hybrid.preparation.decisions import FIXED_GAUSSIANS, GAUSSIANS, REGION, SAM
 from hybrid.preparation.preparation import Beginning, Staged, prepare
 from hybrid.preparation.stage_frames import VIEWS
 from hybrid.preparation.stages import PreparationSettings
-from hybrid.render.forest_attachments import plan_of_forest, seconds_of
+from hybrid.render.forest_attachments import errors_of, plan_of_forest, seconds_of
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
@@ -206,8 +206,9 @@ def test_a_scene_that_moves_is_prepared_for_all_times(monkeypatch, tmp_path):
 
 
 def test_a_glimpse_is_nobodys_newest_forest(scene):
-    """It is kept in its folder."""
+    """It is kept in its folder, and knows nothing of its errors."""
     prepared = prepare(scene, PreparationSettings(quality="glimpse", held_out=0))
+    assert errors_of(prepared.forest) is None
     assert newest_forest(scene) is None
     assert load_forest(prepared.facts["forest"]).digest() == prepared.forest.digest()
     assert len(prepared.facts["curve"]) == 1
@@ -223,7 +224,9 @@ def test_stages_are_told_while_a_forest_is_watched(scene, monkeypatch):
     # The third stage, which is told after it was stored, and the end.
     assert stored == [2, 3]
     assert told[0].seconds < told[1].seconds < told[2].seconds
-    assert all(load_forest(one.forest).scene_hash == scene.hash for one in told)
+    forests = [load_forest(one.forest) for one in told]
+    assert all(forest.scene_hash == scene.hash for forest in forests)
+    assert all(errors_of(forest) is not None for forest in forests)
     assert 10 < told[0].psnr < told[2].psnr
 
 
