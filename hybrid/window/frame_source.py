@@ -104,6 +104,8 @@ class SceneSource:
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
         self._seed += 1
+        if self._watched is not None:
+            self._watched.share_threads(rests=not quick)
         layers = request.settings.layers
         if layers is not None and layers[1] > self.layers:
             # The forest may just have replaced another one.
@@ -161,7 +163,6 @@ class SceneSource:
                 self.renderer = LiveRenderer(before, forest)
             self._last = self._converging = None
         self._follow()
-        self._watched.share_threads()
         return learnt is not None
 
     def _follow(self) -> None:

@@ -41,8 +41,9 @@ from splat.model.forest import Forest
 _LINE_EVERY, _LOOK_EVERY = 1.0, 0.5
 # Seconds for which a viewer stands still before it counts as staying.
 _STAYS = 2.0
-# Niceness of learning: of two cores that a window wants whole, a quarter to a third is left to it.
-_NICE = 4
+# Niceness of learning, over that of the window, and the most that there is: of two cores that a window wants
+# whole, a quarter to a third is left to it.
+_NICE, _LEAST = 5, 19
 _Stamps: TypeAlias = dict[Path, tuple[int, int]]
 
 
@@ -120,6 +121,11 @@ class Learner:
             start_new_session=True,
         )
         threading.Thread(target=self._read, daemon=True).start()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether there may be better forests."""
+        return self._process.poll() is None
 
     def stop(self) -> None:
         """Tells the process to save what it has, and to end; the next one goes on where it was."""
@@ -221,10 +227,11 @@ class Watched:
             self._say(f"{one_line(error)}; shown as it was")
             return None
 
-    def share_threads(self) -> None:
-        """Draws with as many threads as an awaited forest leaves, or with all."""
-        is_awaited = self._learner is not None and self._learner.is_awaited
-        count = max(1, self._threads - _share_of(self._threads)) if is_awaited else self._threads
+    def share_threads(self, rests: bool = False) -> None:
+        """Draws with all threads, or what learning leaves while its forest is awaited or the view rests."""
+        learner = self._learner
+        shares = learner is not None and learner.is_running and (rests or learner.is_awaited)
+        count = max(1, self._threads - _share_of(self._threads)) if shares else self._threads
         if count != dr.thread_count():
             dr.set_thread_count(count)
 
@@ -316,14 +323,18 @@ def _share_of(threads: int) -> int:
 
 
 def _give_way() -> None:
-    """Lets this process have less time than others.
+    """Lets this process have less time than the one that started it.
 
     Linux may schedule each session as a group ("autogroups" in sched(7)): priorities of processes are
     compared in their group alone, and groups share equally unless they have priorities, too.
     """
     os.nice(_NICE)
     with suppress(OSError):
-        Path("/proc/self/autogroup").write_text(str(_NICE))
+        (own, *_), (other, _, nice) = (
+            Path(f"/proc/{process}/autogroup").read_text().split() for process in ("self", os.getppid())
+        )
+        if own != other:
+            Path("/proc/self/autogroup").write_text(str(min(int(nice) + _NICE, _LEAST)))
 
 
 def _telling(tell: Callable[..., None]) -> Progress:

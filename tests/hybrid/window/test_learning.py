@@ -123,16 +123,20 @@ def test_a_process_says_why_it_has_ended():
 
 
 @pytest.mark.parametrize(("count", "left"), [(2, 1), (3, 2), (8, 4)])
-def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, count, left):
+def test_learning_has_half_of_the_threads_while_a_forest_is_awaited_or_a_view_rests(
+    monkeypatch, threads, count, left
+):
     """Until it is there, or learning ends."""
     threads(count)
     watched = Watched(CORNELL, True, lambda line: None)
+    watched.share_threads(rests=True)
+    assert dr.thread_count() == count
 
     class Learning:
-        is_awaited = True
+        is_running = True
 
-        def __init__(self, *given):
-            pass
+        def __init__(self, scene, task, say):
+            self.is_awaited = task.urgent
 
         def stop(self):
             pass
@@ -144,6 +148,13 @@ def test_an_awaited_forest_has_half_of_the_threads(monkeypatch, threads, count, 
         is_over()
         watched.share_threads()
         assert dr.thread_count() == count
+    watched.learn(Task())
+    assert dr.thread_count() == count
+    watched.share_threads(rests=True)
+    assert dr.thread_count() == left
+    watched._learner.is_running = False
+    watched.share_threads(rests=True)
+    assert dr.thread_count() == count
 
 
 @pytest.mark.parametrize("ctrl_c", [signal.default_int_handler, signal.SIG_IGN])
@@ -176,6 +187,24 @@ def test_a_process_whose_window_is_gone_ends_quietly(shown, got):
         assert got(process.wait(PATIENCE)) == 0
 
 
+@pytest.mark.parametrize(("is_apart", "more"), [(True, learning._NICE), (False, 0)])
+def test_a_group_of_processes_gives_way_unless_the_window_is_in_it(is_apart, more):
+    """To one that has less than usual itself."""
+    if not os.path.exists("/proc/self/autogroup"):
+        pytest.skip("Linux without groups by session")
+    say = "from pathlib import Path; print(Path('/proc/self/autogroup').read_text().split()[-1])"
+    child = f"from hybrid.window.learning import _give_way as give; give(); {say}"
+    window = f"""
+import os, subprocess, sys
+from pathlib import Path
+Path("/proc/self/autogroup").write_text("3")
+subprocess.run([sys.executable, "-c", {child!r}], start_new_session={is_apart}, check=True)
+{say}"""
+    words = [sys.executable, "-c", window]
+    found = subprocess.run(words, start_new_session=True, check=True, capture_output=True, text=True).stdout
+    assert found.split() == [str(3 + more), "3"]
+
+
 class FakeWatched(Watched):
     """Something that changes and learns when it is told to."""
 
@@ -195,8 +224,8 @@ class FakeWatched(Watched):
     def learn(self, task):
         self.tasks.append(task)
 
-    def share_threads(self):
-        pass
+    def share_threads(self, rests=False):
+        self.rests = rests
 
 
 @pytest.fixture
@@ -224,7 +253,10 @@ def asked(source: SceneSource, integrator: Integrator = Integrator.PATH) -> Requ
 def test_a_better_forest_is_shown_from_the_next_frame_on(own_source):
     source, watched = own_source
     assert not source.renew(quiet)
+    source.show(asked(source), quick=False)
+    assert watched.rests
     source.show(asked(source), quick=True)
+    assert not watched.rests
     forest, splats = source.renderer.periphery.forest, source.renderer.splats(asked(source).settings)
     watched.forests.append((Path("next.safetensors"), darkened(forest)))
     assert source.renew(quiet)
