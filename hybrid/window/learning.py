@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import IO, TypeAlias
 
@@ -103,8 +104,8 @@ class Task:
 class Learner:
     """A preparation in another process; `say` gets a line about it.
 
-    `forests` has the newest forest, of which better ones follow. It `is_awaited` until there is the first one
-    of an urgent task.
+    `forests` has the newest forest, of which better ones follow. Until an urgent task has come to the first
+    one that no other one follows soon, it `is_awaited`.
     """
 
     def __init__(self, scene: ShownScene, task: Task, say: Callable[[str], object]):
@@ -142,7 +143,7 @@ class Learner:
             if "forest" in told:
                 path = Path(told["forest"])
                 self.forests.put((path, load_forest(path)))
-                self.is_awaited = False
+                self.is_awaited &= told["more"]
             self._say(told["line"])
         self.is_awaited = False
         code = self._process.wait()
@@ -284,9 +285,9 @@ def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
     if newest is not None and not newest.name.startswith(LIVE):
         return tell("prepared earlier", newest)
 
-    def told(staged: Staged) -> None:
+    def told(staged: Staged, more: bool = False) -> None:
         took = f"stage {staged.number} of {staged.stages}, {staged.seconds:.0f} s"
-        tell(f"learnt: {staged.psnr:.1f} dB in training frames after {took}", staged.forest)
+        tell(f"learnt: {staged.psnr:.1f} dB in training frames after {took}", staged.forest, more)
 
     settings = PreparationSettings(quality=LIVE, held_out=0)
     folders = {scene_folder(scene.name, scene.hash)} | ({Path(task.job).parent} if task.job else set())
@@ -298,7 +299,7 @@ def _learn(shown: ShownScene, task: Task, tell: Callable[..., None]) -> None:
         if any(job.parent != scene_folder(scene.name, scene.hash) for job in beginning.jobs):
             # Something of what has changed is shown soon, before the frames of before are looked through.
             first, alone = replace(settings, quality=GLIMPSE), replace(beginning, jobs=())
-            glimpse = prepare(scene, first, bars, beginning=alone, told=told)
+            glimpse = prepare(scene, first, bars, beginning=alone, told=partial(told, more=True))
             folder = Path(glimpse.facts["forest"]).parent
             beginning = replace(beginning, forest=glimpse.forest, jobs=(*beginning.jobs, folder))
         prepared = prepare(scene, settings, bars, beginning=beginning, told=told)
@@ -356,7 +357,7 @@ def _interrupt_with(stream: IO[str]) -> None:
 
 
 def _main() -> None:
-    """Of the process; its lines are JSON with `line`, for people, and `forest`, a file."""
+    """Of the process; its lines are JSON: `line`, for people; `forest`, a file; whether `more` come soon."""
     logging.basicConfig(level=logging.ERROR)
     # What libraries print must not mix with the lines.
     out = os.dup(sys.stdout.fileno())
@@ -365,8 +366,8 @@ def _main() -> None:
     shown, task = ShownScene(**given["scene"]), Task(**given["task"])
     _give_way()
 
-    def tell(line: str, forest: Path | None = None) -> None:
-        told = {"line": line} | ({} if forest is None else {"forest": str(forest)})
+    def tell(line: str, forest: Path | None = None, more: bool = False) -> None:
+        told = {"line": line} | ({} if forest is None else {"forest": str(forest), "more": more})
         # A window that has ended is about to end this, too.
         with suppress(BrokenPipeError):
             os.write(out, (json.dumps(told) + "\n").encode())

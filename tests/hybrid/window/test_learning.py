@@ -60,10 +60,10 @@ def quiet(done: int, total: int, label: str) -> None:
     """Ignores progress."""
 
 
-def learn(task: Task, shown: ShownScene = CORNELL) -> list[tuple[str, Path | None]]:
+def learn(task: Task, shown: ShownScene = CORNELL) -> list[tuple[str, Path | None, bool]]:
     """What the process tells that learns a scene, without those about its progress."""
-    told: list[tuple[str, Path | None]] = []
-    learning._learn(shown, task, lambda line, forest=None: told.append((line, forest)))
+    told: list[tuple[str, Path | None, bool]] = []
+    learning._learn(shown, task, lambda line, forest=None, more=False: told.append((line, forest, more)))
     return [one for one in told if not one[0].startswith("learning: ")]
 
 
@@ -73,7 +73,7 @@ def tiny(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def first_home(tmp_path_factory, backend) -> tuple[Path, list[tuple[str, Path | None]]]:
+def first_home(tmp_path_factory, backend) -> tuple[Path, list[tuple[str, Path | None, bool]]]:
     """A cache folder in which the Cornell box is learnt, and what was told."""
     home = tmp_path_factory.mktemp("first")
     with pytest.MonkeyPatch.context() as patch:
@@ -91,13 +91,13 @@ def learnt(first_home, tiny):
 def test_each_stage_is_told_with_its_forest_and_the_last_one_again(first_home, tiny, monkeypatch):
     home, told = first_home
     monkeypatch.setenv("HYBRID_HOME", str(home))
-    assert [line.split(", ")[0].split("frames ")[-1] for line, _ in told] == [
+    assert [line.split(", ")[0].split("frames ")[-1] for line, _, _ in told] == [
         "after stage 1 of 3",
         "after stage 2 of 3",
         "after stage 3 of 3",
         "all stages are learnt",
     ]
-    forests = [load_forest(path) for _, path in told]
+    forests = [load_forest(path) for _, path, _ in told]
     # What follows the last stage changes no Gaussian.
     assert len({forest.digest() for forest in forests}) == 3
     newest = newest_forest(as_planned(load_scene("cornell")))
@@ -109,7 +109,7 @@ def test_each_stage_is_told_with_its_forest_and_the_last_one_again(first_home, t
 def test_a_forest_that_was_prepared_is_told_instead_of_another(made):
     scene = as_planned(load_scene("cornell"))
     store_forest(load_forest(made / "box.forest"), "mine")
-    assert learn(Task()) == [("prepared earlier", newest_forest(scene))]
+    assert learn(Task()) == [("prepared earlier", newest_forest(scene), False)]
     assert forest_to_show(scene) == (newest_forest(scene), False)
 
 
@@ -120,6 +120,38 @@ def test_a_process_says_why_it_has_ended():
     learner.stop()
     assert said.lines[0].startswith("learning has ended: no-such-scene: no such scene")
     assert learner.forests.take() is None
+
+
+def test_a_forest_is_awaited_until_none_follows_soon(made, monkeypatch):
+    begun, awaited = threading.Event(), []
+
+    class Process:
+        stdin = stdout = None
+
+        def __init__(self, *given, **named):
+            self.stdout = self.lines()
+
+        def lines(self):
+            assert begun.wait(PATIENCE)
+            yield json.dumps({"line": "begins"})
+            for more in (True, False):
+                yield json.dumps({"line": "", "forest": str(made / "box.forest"), "more": more})
+
+        def wait(self):
+            return 0
+
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    done = threading.Event()
+
+    def say(line: str) -> None:
+        awaited.append(learner.is_awaited)
+        if len(awaited) == 3:
+            done.set()
+
+    learner = Learner(CORNELL, Task(urgent=True), say)
+    begun.set()
+    assert done.wait(PATIENCE)
+    assert awaited == [True, True, False]
 
 
 @pytest.mark.parametrize(("count", "left"), [(2, 1), (3, 2), (8, 4)])
@@ -378,12 +410,12 @@ def test_of_a_change_a_little_is_learnt_soon_and_then_all(learnt, tmp_path, monk
     forest = replace(load_forest(newest_forest(scene)), scene_name=changed.name, scene_hash=changed.hash)
     save_forest(tmp_path / "changed.safetensors", forest)
     task = Task.after(scene, tmp_path / "changed.safetensors", None)
-    told = [line for line, _ in learn(task, ShownScene(str(file)))]
-    assert [line.split("after ")[-1].split(",")[0] for line in told] == [
-        "stage 1 of 1",
-        "stage 4 of 5",
-        "stage 5 of 5",
-        "all stages are learnt",
+    told = [(line, more) for line, _, more in learn(task, ShownScene(str(file)))]
+    assert [(line.split("after ")[-1].split(",")[0], more) for line, more in told] == [
+        ("stage 1 of 1", True),
+        ("stage 4 of 5", False),
+        ("stage 5 of 5", False),
+        ("all stages are learnt", False),
     ]
     assert len(newest_job(changed).stages) == 5
 
