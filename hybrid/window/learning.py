@@ -43,7 +43,7 @@ _LINE_EVERY, _LOOK_EVERY = 1.0, 0.5
 # Seconds for which a viewer stands still before it counts as staying.
 _STAYS = 2.0
 # Niceness of learning, over that of the window, and the most that there is: of two cores that a window wants
-# whole, a quarter to a third is left to it.
+# whole, about a third of one is left to it.
 _NICE, _LEAST = 5, 19
 _Stamps: TypeAlias = dict[Path, tuple[int, int]]
 
