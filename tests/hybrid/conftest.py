@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import pytest
 
+from compose.camera.camera import Camera
+from hybrid.base.progress import Steps
 from hybrid.preparation import scene_look
 from hybrid.preparation import scene_plan as stored
 from hybrid.preparation.scene_plan import ScenePlan, plan_of
 from hybrid.render import irradiance
+from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene
 from splat.training import picture_fit
@@ -20,9 +22,20 @@ from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
 @pytest.fixture(scope="session", autouse=True)
 def little_work() -> Iterator[None]:
-    """Caches of few points, plans of small frames, fits of few steps: enough for small scenes, made often."""
+    """Plans of small frames, fits of few steps, and caches of few points: enough for small scenes.
+
+    Caches are filled once, since many tests have a cache folder of their own.
+    """
+    made: dict[str, IrradianceCache] = {}
+
+    def filled(scene: Scene, cameras: list[Camera], seed: int, progress: Steps) -> IrradianceCache:
+        if scene.hash not in made:
+            made[scene.hash] = fill_cache(scene, cameras, seed, progress, points=1 << 13)
+        progress(1, 1)
+        return made[scene.hash]
+
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(irradiance, "fill_cache", partial(fill_cache, points=1 << 13))
+        monkeypatch.setattr(irradiance, "fill_cache", filled)
         monkeypatch.setattr(scene_look, "_LARGER_SIDE", 128)
         monkeypatch.setattr(picture_fit, "_STEPS", 12)
         monkeypatch.setattr(picture_fit, "_PER_VIEW", 0)
