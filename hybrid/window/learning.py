@@ -44,7 +44,7 @@ _LINE_EVERY, _LOOK_EVERY = 1.0, 0.5
 _STAYS = 2.0
 # Niceness of learning, over that of the window, and the most that there is: of two cores that a window wants
 # whole, about a third of one is left to it.
-_NICE, _LEAST = 5, 19
+_NICE, _MOST_NICE = 5, 19
 _Stamps: TypeAlias = dict[Path, tuple[int, int]]
 
 
@@ -231,7 +231,7 @@ class Watched:
     def share_threads(self, rests: bool = False) -> None:
         """Draws with all threads, or what learning leaves while its forest is awaited or the view rests."""
         learner = self._learner
-        shares = learner is not None and learner.is_running and (rests or learner.is_awaited)
+        shares = learner is not None and (rests or learner.is_awaited) and learner.is_running
         count = max(1, self._threads - _share_of(self._threads)) if shares else self._threads
         if count != dr.thread_count():
             dr.set_thread_count(count)
@@ -331,11 +331,10 @@ def _give_way() -> None:
     """
     os.nice(_NICE)
     with suppress(OSError):
-        (own, *_), (other, _, nice) = (
-            Path(f"/proc/{process}/autogroup").read_text().split() for process in ("self", os.getppid())
-        )
-        if own != other:
-            Path("/proc/self/autogroup").write_text(str(min(int(nice) + _NICE, _LEAST)))
+        group = Path("/proc/self/autogroup")
+        above, _, nice = Path(f"/proc/{os.getppid()}/autogroup").read_text().split()
+        if group.read_text().split()[0] != above:
+            group.write_text(str(min(int(nice) + _NICE, _MOST_NICE)))
 
 
 def _telling(tell: Callable[..., None]) -> Progress:

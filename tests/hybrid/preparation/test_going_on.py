@@ -19,7 +19,7 @@ from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.region.neighbourhood import is_elsewhere
 from pathtrace.scene.scene import Scene, bundled_scenes, load_scene
 from tests.extremes import extreme
-from tests.hybrid.preparation.tiny import STAGES, make_tiny
+from tests.hybrid.preparation.tiny import STAGES, make_tiny, tiny_home
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 LIVE = PreparationSettings(quality="live", held_out=0)
@@ -33,24 +33,23 @@ def tiny(monkeypatch):
     monkeypatch.setattr(changed_frames, "_LIGHT", 0.15)
 
 
+def prepared_apart(tmp_path_factory, settings: PreparationSettings) -> tuple[Prepared, Path]:
+    """A preparation of the Cornell box in a cache folder of its own, and where it is."""
+    folder = tmp_path_factory.mktemp("prepared")
+    with tiny_home(tmp_path_factory.mktemp("home")):
+        return prepare(load_scene("cornell"), settings, no_bars, folder), folder
+
+
 @pytest.fixture(scope="module")
 def first(tmp_path_factory, backend) -> tuple[Prepared, Path]:
     """A preparation of the Cornell box, and its folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
-        make_tiny(patch.setattr)
-        folder = tmp_path_factory.mktemp("first")
-        return prepare(load_scene("cornell"), LIVE, no_bars, folder), folder
+    return prepared_apart(tmp_path_factory, LIVE)
 
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory, backend) -> tuple[Prepared, Path]:
     """The same without its last stage."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
-        make_tiny(patch.setattr)
-        folder = tmp_path_factory.mktemp("short")
-        return prepare(load_scene("cornell"), replace(LIVE, quality="draft"), no_bars, folder), folder
+    return prepared_apart(tmp_path_factory, replace(LIVE, quality="draft"))
 
 
 def changed(folder: Path, old: str, new: str) -> Scene:

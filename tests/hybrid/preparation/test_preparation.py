@@ -23,7 +23,7 @@ from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
-from tests.hybrid.preparation.tiny import STAGES, make_tiny
+from tests.hybrid.preparation.tiny import STAGES, make_tiny, tiny_home
 from tests.moving import moving_corner
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -39,9 +39,7 @@ def scene(monkeypatch):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A scene, its preparation in one go, the folder of that, and the newest forest thereafter."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
-        make_tiny(patch.setattr)
+    with tiny_home(tmp_path_factory.mktemp("home")):
         scene, folder = load_scene("cornell"), tmp_path_factory.mktemp("whole")
         prepared = prepare(scene, DRAFT, no_bars, folder)
         return scene, prepared, folder, newest_forest(scene)

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+
+import pytest
 
 from hybrid.preparation import preparation, stages
 from hybrid.preparation.stages import Stage
@@ -15,6 +20,15 @@ STAGES = (
     Stage(views=2, scale=2, spp=16, gaussians=700, steps=30),
 )
 JUDGED = CaptureSettings(views=1, held_out=3, width=32, height=32, spp=1, held_out_spp=4)
+
+
+@contextmanager
+def tiny_home(home: Path) -> Iterator[None]:
+    """A cache folder in which all preparations are tiny, for fixtures that several tests share."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYBRID_HOME", str(home))
+        make_tiny(patch.setattr)
+        yield
 
 
 def make_tiny(patch) -> None:

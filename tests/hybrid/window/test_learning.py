@@ -35,7 +35,7 @@ from splat.io.forest_file import load_forest, save_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import SH_DC
 from tests.extremes import extreme
-from tests.hybrid.preparation.tiny import make_tiny
+from tests.hybrid.preparation.tiny import make_tiny, tiny_home
 from tests.moving import moving_corner
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -76,9 +76,7 @@ def tiny(monkeypatch):
 def first_home(tmp_path_factory, backend) -> tuple[Path, list[tuple[str, Path | None, bool]]]:
     """A cache folder in which the Cornell box is learnt, and what was told."""
     home = tmp_path_factory.mktemp("first")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HYBRID_HOME", str(home))
-        make_tiny(patch.setattr)
+    with tiny_home(home):
         return home, learn(Task())
 
 
