@@ -332,9 +332,18 @@ def _give_way() -> None:
     os.nice(_NICE)
     with suppress(OSError):
         group = Path("/proc/self/autogroup")
-        above, _, nice = Path(f"/proc/{os.getppid()}/autogroup").read_text().split()
-        if group.read_text().split()[0] != above:
-            group.write_text(str(min(int(nice) + _NICE, _MOST_NICE)))
+        nice = _nice_of_group(group.read_text(), Path(f"/proc/{os.getppid()}/autogroup").read_text())
+        if nice is not None:
+            group.write_text(str(nice))
+
+
+def _nice_of_group(own: str, above: str) -> int | None:
+    """Priority of the group `own` of a process started from `above`, as /proc says them; None to keep it.
+
+    Both are empty for a process in no group, as what a container's first process starts.
+    """
+    name, _, nice = above.split() or ("", "", "0")
+    return None if own.split()[:1] in ([], [name]) else min(int(nice) + _NICE, _MOST_NICE)
 
 
 def _telling(tell: Callable[..., None]) -> Progress:

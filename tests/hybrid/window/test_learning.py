@@ -235,6 +235,22 @@ subprocess.run([sys.executable, "-c", {child!r}], start_new_session={is_apart}, 
     assert found.split() == [str(3 + more), "3"]
 
 
+@pytest.mark.parametrize(
+    ("own", "above", "nice"),
+    [
+        ("/autogroup-7 nice 0\n", "/autogroup-5 nice 3\n", 3 + learning._NICE),
+        ("/autogroup-7 nice 0\n", "/autogroup-5 nice 19\n", 19),
+        ("/autogroup-7 nice 0\n", "", learning._NICE),
+        ("/autogroup-7 nice 0\n", "/autogroup-7 nice 0\n", None),
+        ("", "/autogroup-5 nice 3\n", None),
+        ("", "", None),
+    ],
+)
+def test_processes_in_no_group_give_way_too(own, above, nice):
+    """As those which the first process of a container starts."""
+    assert learning._nice_of_group(own, above) == nice
+
+
 class FakeWatched(Watched):
     """Something that changes and learns when it is told to."""
 
