@@ -3,9 +3,9 @@
 Each process of pytest-xdist, and what it starts, has cores of its own: otherwise each has a thread per core,
 in Dr.Jit and in torch, which wait for each other half of the time.
 
-Kernels are compiled without LLVM's optimizations, which took most of the time: tests launch thousands of
-kernels a few times each. They have a folder of their own, where the next run finds them, and processes that
-tests start.
+Kernels are compiled without LLVM's optimizations and with its fastest allocation of registers: tests launch
+thousands of kernels a few times each. They have a folder of their own, where the next run finds them, and
+processes that tests start.
 
 Shells have what they start in the background ignore Ctrl-C, and so would all processes that tests start.
 """
@@ -26,7 +26,14 @@ if _worker and _count and hasattr(os, "sched_setaffinity"):
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if not isinstance(LLVM, UserError):
-    _options = (b"tests", b"-opt-bisect-limit=0", b"-opt-bisect-verbose=false", b"-combiner-disabled")
+    _options = (
+        b"tests",
+        b"-opt-bisect-limit=0",
+        b"-opt-bisect-verbose=false",
+        b"-combiner-disabled",
+        b"-optimize-regalloc=false",
+        b"-regalloc=fast",
+    )
     ctypes.CDLL(str(LLVM.path)).LLVMParseCommandLineOptions(
         len(_options), (ctypes.c_char_p * len(_options))(*_options), None
     )

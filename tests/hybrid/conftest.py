@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import pytest
+from typer import main as typer_main
 
 from compose.camera.camera import Camera
 from hybrid.base.progress import Steps
@@ -39,6 +41,14 @@ def little_work() -> Iterator[None]:
         monkeypatch.setattr(scene_look, "_LARGER_SIDE", 128)
         monkeypatch.setattr(picture_fit, "_STEPS", 12)
         monkeypatch.setattr(picture_fit, "_PER_VIEW", 0)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def command_line_built_once() -> Iterator[None]:
+    """Each of a thousand commands would build all of them."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(typer_main, "get_command", cache(typer_main.get_command))
         yield
 
 
