@@ -340,7 +340,7 @@ def _give_way() -> None:
 def _nice_of_group(own: str, above: str) -> int | None:
     """Priority of the group `own` of a process started from `above`, as /proc says them; None to keep it.
 
-    Both are empty for a process in no group, as what a container's first process starts.
+    Either is empty if its process is in no group, as what a container's first process starts.
     """
     name, _, nice = above.split() or ("", "", "0")
     return None if own.split()[:1] in ([], [name]) else min(int(nice) + _NICE, _MOST_NICE)
