@@ -50,7 +50,7 @@ from splat.model.points import Bits
 _RATE = 60.0
 _PORT = 8765
 # Frames whose pictures are compared.
-_COMPARED = 20
+_COMPARED = 100
 # Seconds between jumps of the gaze; milliseconds after one at which the picture is judged; and how many
 # samples per pixel, so many times, it is judged by.
 _REST = 1.5

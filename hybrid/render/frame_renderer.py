@@ -18,6 +18,7 @@ from compose.eye.detail import DetailMap
 from compose.fovea.cells import CellRegion
 from compose.fovea.disc import Disc, blend
 from compose.fovea.foveation import FoveaMode, FoveaRegion, Placement
+from compose.fovea.samples import Samples
 from compose.image.colour import Image
 from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import PassClock, device_arrays
@@ -378,6 +379,16 @@ class LiveRenderer(Renderer):
         composite, _ = blend(periphery, fovea.radiance, disc)
         clock.lap("blend")
         return replace(frame, image=composite, fovea=fovea, milliseconds=clock.milliseconds())
+
+    def add_samples(self, frame: Frame, spp: int, seed: int) -> Samples:
+        """Traces `spp` more samples per pixel in the last frame's disc, for the next refined one.
+
+        Returns all that are known.
+        """
+        settings = frame.settings
+        self._relight(settings)
+        maker, disc = self.fovea_of(settings), frame.fovea.disc
+        return maker.trace(settings.fovea, frame.camera, disc, spp, seed, frame.underlay, self._is_quick)[1]
 
     def forget(self) -> None:
         """Drops everything that is known from earlier frames."""

@@ -6,6 +6,7 @@ import math
 import time
 from dataclasses import dataclass, replace
 
+import drjit as dr
 import numpy as np
 
 from compose.eye.gaze import Gaze
@@ -20,8 +21,8 @@ from hybrid.window.window_views import nearness
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-# Samples per pixel that are added at once while the view stays: masks wait for them. And so many are enough.
-_MORE, _ENOUGH = 4, 64
+# Samples per pixel that are enough.
+_ENOUGH = 64
 # Growth of the time per path from one disc to the next, if it has grown.
 _SLOWER = 1.1
 # Pixels: a smaller disc has none.
@@ -32,11 +33,15 @@ _MOST_PATHS, _MOST_SECONDS = 1 << 19, 0.15
 
 @dataclass(frozen=True)
 class _Traced:
-    """What a disc was traced for, where it lies, and the frame of the square around it."""
+    """What a disc was traced for, where it lies, and the frame of the square around it.
+
+    `samples` are those per pixel that are known by now, of which the frame may show fewer.
+    """
 
     asked: tuple[View, DiscWanted]
     where: DiscMessage
     frame: Frame
+    samples: float
 
 
 class DiscServer:
@@ -60,39 +65,51 @@ class DiscServer:
         self._renderer.forget()
         self._last = None
 
-    def message(self, view: ViewMessage, wanted: DiscWanted, others_wait: bool = False) -> DiscMessage:
-        """The disc of a view, with more samples if the last one was for the same.
+    def message(self, view: ViewMessage, wanted: DiscWanted, others_wait: bool = False) -> DiscMessage | None:
+        """One step towards the disc of a view, or towards a better one if the last one was for the same.
 
-        If others wait for the thread, it is no larger than what is traced in a seventh of a second.
+        A better one has twice the samples. None while they are traced, one per pixel in each call, so that
+        whatever is new waits for one of them at most.
+
+        If others wait for the thread, the disc is no larger than what is traced in a seventh of a second.
         """
         self._memory.release()
-        begin = time.monotonic()
         self._seed += 1
-        if self._last is not None and self._last.asked == (view.view, wanted):
-            last = self._last
-            spp = last.frame.settings.spp if others_wait else max(_MORE, last.frame.settings.spp)
-            frame = self._renderer.refined(last.frame, spp, self._seed, quick=False)
-            self._last = replace(last, frame=frame)
-        else:
-            most = _MOST_PATHS
-            if others_wait and self._pace:
-                # Powers of two: frames of ever new sizes take longer.
-                most = min(most, 1 << int(math.log2(max(1.0, _MOST_SECONDS / self._pace))))
-            self._last = self._traced(view, wanted, most)
-            if self._last is None:
+        last = self._last
+        if last is None or last.asked != (view.view, wanted):
+            last = self._begun(view, wanted, others_wait)
+            if last is None:
                 return DiscMessage(view.sequence)
-            spp = self._last.frame.settings.spp
-        where, frame = self._last.where, self._last.frame
-        samples = frame.fovea.samples.mean_count()
+        elif last.samples + 1 < min(2 * last.frame.fovea.samples.mean_count(), _ENOUGH):
+            samples = self._renderer.add_samples(last.frame, 1, self._seed)
+            self._last = replace(last, samples=samples.mean_count())
+            return None
+        else:
+            frame = self._renderer.refined(last.frame, 1, self._seed, quick=False)
+            last = replace(last, frame=frame, samples=frame.fovea.samples.mean_count())
+        self._last, frame, where = last, last.frame, last.where
         # Without the blend, which is made with the client's own splats.
         image = frame.image.packed().changed(frame.fovea.disc.pixels, frame.fovea.radiance)
         pixels = srgb_bytes(image.arrays, image.values, (where.side, where.side, 3))
         near = np.asarray(nearness(frame.camera, self._renderer.tracer))
-        # The first ones compile kernels; what was once possible is forgotten slowly.
-        took = (time.monotonic() - begin) / (frame.region.count * spp)
-        self._pace = min(took, _SLOWER * self._pace) if self._pace else took
-        where = replace(where, sequence=view.sequence, spp=samples, final=samples >= _ENOUGH)
-        return replace(where, **content_of(pixels, near, where.final))
+        final = last.samples >= _ENOUGH
+        where = replace(where, sequence=view.sequence, spp=last.samples, final=final)
+        return replace(where, **content_of(pixels, near, final))
+
+    def _begun(self, view: ViewMessage, wanted: DiscWanted, others_wait: bool) -> _Traced | None:
+        """A new disc, smaller if others wait and paths take long; None if there is none to see."""
+        most = _MOST_PATHS
+        if others_wait and self._pace:
+            # Powers of two: frames of ever new sizes take longer.
+            most = min(most, 1 << int(math.log2(max(1.0, _MOST_SECONDS / self._pace))))
+        begin = time.monotonic()
+        traced = self._traced(view, wanted, most)
+        if traced is not None:
+            dr.sync_thread()
+            # The first ones compile kernels; what was once possible is forgotten slowly.
+            took = (time.monotonic() - begin) / (traced.frame.region.count * traced.frame.settings.spp)
+            self._pace = min(took, _SLOWER * self._pace) if self._pace else took
+        return traced
 
     def _traced(self, view: ViewMessage, wanted: DiscWanted, most: int) -> _Traced | None:
         """A disc of so many paths at most; None if there is none to see."""
@@ -120,4 +137,5 @@ class DiscServer:
         )
         fov_a = 100 * radius / camera.height
         where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a)
-        return _Traced((view.view, wanted), where, self._renderer.frame(settings, self._seed))
+        frame = self._renderer.frame(settings, self._seed)
+        return _Traced((view.view, wanted), where, frame, frame.fovea.samples.mean_count())

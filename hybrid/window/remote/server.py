@@ -335,17 +335,22 @@ class ViewServer:
                 # Without a mask, others have no picture at all.
                 with contextlib.suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._no_masks.wait(), _DISC_WAITS)
-            begin, message = time.monotonic(), DiscMessage(asked[0].sequence)
-            if client.disc is not None:
+            begin = time.monotonic()
+            if client.disc is None:
+                message: DiscMessage | None = DiscMessage(asked[0].sequence)
+            else:
                 message = await on_worker(client.disc.message, *asked, len(self._clients) > 1)
-            packed = message.packed()
-            client.disc_sent(*asked, message.final)
-            self.facts["discs"] += 1
-            self.facts["disc_bytes"] += len(packed)
-            await client.send(packed)
             took = time.monotonic() - begin
             # Others get at least as much time of the one thread that renders.
-            await asyncio.sleep(max(took if len(self._clients) > 1 else 0.0, 1 / _DISC_RATE - took))
+            waits = took if len(self._clients) > 1 else 0.0
+            if message is not None:
+                packed = message.packed()
+                client.disc_sent(*asked, message.final)
+                self.facts["discs"] += 1
+                self.facts["disc_bytes"] += len(packed)
+                await client.send(packed)
+                waits = max(waits, 1 / _DISC_RATE - (time.monotonic() - begin))
+            await asyncio.sleep(waits)
 
     async def _mask(self, client: _Client, view: ViewMessage) -> bytes:
         # The client may answer before the cut is found.
