@@ -19,7 +19,7 @@ from compose.base.startup import MINIMUM_LLVM, Llvm
 LLVM_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
 # Mitsuba reads EXR files in Dr.Jit's threads; with one, which is the caller, it would wait for ever.
-_FEWEST_THREADS = 2
+_THREADS_TO_READ = 2
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ def select_backend(choice: str = "auto") -> Backend:
 
 @contextmanager
 def threads_to_read() -> Iterator[None]:
-    """Has as many threads as it takes to read files, if fewer were chosen meanwhile."""
+    """Has as many threads as it takes to read files, where there are fewer."""
     import drjit as dr
 
     before = dr.thread_count()
-    dr.set_thread_count(max(before, _FEWEST_THREADS))
+    dr.set_thread_count(max(before, _THREADS_TO_READ))
     try:
         yield
     finally:
@@ -101,8 +101,6 @@ def _select(choice: str) -> Backend:
     mi.file_resolver().prepend(str(Path(mi.__file__).parent))  # type: ignore[operator]  # a function
     # More talkative levels deadlock with a second thread in Dr.Jit 1.5.
     dr.set_log_level(dr.LogLevel.Warn)
-    if dr.thread_count() < _FEWEST_THREADS:
-        dr.set_thread_count(_FEWEST_THREADS)
     if choice != "llvm" and _cuda_works():
         return Backend(CUDA_VARIANT, None, "a CUDA device with OptiX is available")
     if choice == "cuda":
