@@ -85,7 +85,6 @@ class Remote:
         welcome, forest, tree: from the server, once `wait` has returned.
         cut: the newest one; None before the first.
         disc: the newest one; None if the server sends none for what was looked at last.
-        disc_is_final: whether none will follow for the view that it is for.
         trouble: why there is no connection, in a line; empty while there is one.
         changed: is set when there is another cut, another disc, or other trouble.
         sent: number of the newest view that was sent, and that view.
@@ -101,13 +100,14 @@ class Remote:
         self._tls = _context(server.address, server.authority)
         self.cut: Cut | None = None
         self.disc: StreamedDisc | None = None
-        self.disc_is_final = False
         self.trouble, self.bytes, self.disc_bytes = "not connected yet", 0, 0
         self.changed = threading.Event()
         self._view: View | None = None
         self._wanted: DiscWanted | None = None
-        # Number of the first view after the server was told what disc is wanted.
-        self._told_at = 1
+        # What disc the server was told to be wanted, and from which view on.
+        self._told: tuple[int, DiscWanted | None] = 1, None
+        # What the newest disc is the last one for.
+        self._final_for: tuple[View, DiscWanted | None] | None = None
         # The last ones that were sent, by number: they are what a mask or a disc may be for.
         self._views: dict[int, View] = {}
         self.sent: tuple[int, View | None] = 0, None
@@ -140,13 +140,18 @@ class Remote:
     def want(self, disc: DiscWanted) -> None:
         """Asks for a path-traced disc of each view from now on; never waits."""
         if disc != self._wanted:
-            self._wanted, self.disc_is_final = disc, False
+            self._wanted = disc
             self._loop.call_soon_threadsafe(self._news.set)
 
     @property
     def is_current(self) -> bool:
         """Whether the newest cut is one for the view that was asked for last."""
         return self.cut is not None and self._is_of_view(self.cut.sequence)
+
+    @property
+    def disc_is_final(self) -> bool:
+        """Whether no other disc will follow for the view and the disc that were asked for last."""
+        return self._final_for is not None and self._final_for == (self._view, self._wanted)
 
     def _is_of_view(self, sequence: int) -> bool:
         """Whether what was sent with a number is the view that was asked for last."""
@@ -258,7 +263,8 @@ class Remote:
             received.has_missed = False
             due = time.monotonic() + pace
             if self._wanted is not None and self._wanted != told:
-                told, self._told_at = self._wanted, sequence + 1
+                told = self._wanted
+                self._told = sequence + 1, told
                 await connection.send(told.packed())
             # Before it is sent: its mask may come at once.
             self.sent = sequence + 1, view
@@ -291,7 +297,8 @@ class Remote:
             return
         camera, gaze, _ = view
         self.disc = StreamedDisc.of(message, camera, gaze) if message.side else None
-        self.disc_is_final = message.final and view is self._view and message.sequence >= self._told_at
+        first, wanted = self._told
+        self._final_for = (view, wanted) if message.final and message.sequence >= first else None
         self.changed.set()
 
 

@@ -395,12 +395,12 @@ class _Client:
         self._view: ViewMessage | None = None
         # Of the newest view, of the mask that it says is there, and of the last one that was sent.
         self._sequence = self._held = self._number = 0
-        # What traces its disc, and what disc it wants.
+        # What traces its disc, and what disc it wants of each view from the next one on.
         self.disc: DiscServer | None = None
         self._wanted: DiscWanted | None = None
         self._disc_news = asyncio.Event()
-        # The newest view, what the last disc was for, and whether that was final.
-        self._newest: ViewMessage | None = None
+        # The newest view and the disc wanted of it, what the last disc was for, and whether that was final.
+        self._asked: tuple[ViewMessage, DiscWanted] | None = None
         self._disc_for: tuple[View, DiscWanted] | None = None
         self._disc_is_final = False
         # When discs were sent that may not have come yet, and after which mask.
@@ -421,8 +421,10 @@ class _Client:
         self._masks = {n: mask for n, mask in self._masks.items() if n >= view.held}
         self._window += max(0, view.held - self._answered)
         self._answered = max(view.held, self._answered)
-        self._sequence, self._held, self._view, self._newest = view.sequence, view.held, view, view
-        self._disc_news.set()
+        self._sequence, self._held, self._view = view.sequence, view.held, view
+        if self._wanted is not None:
+            self._asked = view, self._wanted
+            self._disc_news.set()
         unanswered = [at for n, (at, _) in self._masks.items() if n > self._answered]
         if unanswered and time.monotonic() - unanswered[0] > self._patience:
             raise ValueError(f"views, but no answer to a mask for {self._patience:g} s")
@@ -435,19 +437,17 @@ class _Client:
         return view
 
     def want(self, disc: DiscWanted) -> None:
-        """Takes note of the disc that the client wants from now on."""
+        """Takes note of the disc that the client wants of its next views."""
         self._wanted = disc
-        self._disc_news.set()
 
     async def next_disc(self) -> tuple[ViewMessage, DiscWanted]:
         """What to trace next, once there is something and not too many discs are on their way."""
         while True:
             self._disc_news.clear()
-            waiting = None
-            if self._newest is not None and self._wanted is not None:
-                asked = self._newest, self._wanted
+            waiting, asked = None, self._asked
+            if asked is not None:
                 # The same view may have been sent again.
-                stays = (self._newest.view, self._wanted) == self._disc_for
+                stays = (asked[0].view, asked[1]) == self._disc_for
                 if not (stays and self._disc_is_final):
                     if self._on_their_way() <= (1 if stays else _DISCS):
                         return asked

@@ -7,16 +7,19 @@ import contextlib
 import logging
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from websockets.sync.client import ClientConnection, connect
 
 from compose.camera.camera import Camera
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.messages import Request, Server, ShownFrame
 from hybrid.window.remote.client import Remote
+from hybrid.window.remote.protocol import SUBPROTOCOL
 from hybrid.window.remote.server import Limits, Listening, ViewServer
 from hybrid.window.remote.source import RemoteSource
 from splat.model.forest import Forest, forest_of
@@ -25,6 +28,7 @@ from tests.splat.lod.views import frame_camera
 from tests.splat.samples import gaussians
 
 TOKEN = "a token for tests"
+PROTOCOLS = {"subprotocols": [SUBPROTOCOL], "compression": None, "proxy": None}
 # Seconds after which a test that waits has failed.
 LONG = 60.0
 ACUITY = "fovvideovdp"
@@ -90,6 +94,15 @@ def serve(forest, camera, own_home) -> Callable[..., contextlib.AbstractContextM
     return running
 
 
+@contextlib.contextmanager
+def admitted(served: Served, **named) -> Iterator[ClientConnection]:
+    """A connection with the token, which has had its welcome."""
+    headers = {"Authorization": f"Bearer {TOKEN}"}
+    with connect(served.address, additional_headers=headers, **PROTOCOLS, **named) as connection:
+        connection.recv(timeout=LONG)
+        yield connection
+
+
 class Lines(logging.Handler):
     """Lines of the log as they come."""
 
@@ -124,8 +137,9 @@ def until(remote: Remote, holds: Callable[[], object]) -> None:
 
 def shown_at_last(source: RemoteSource, request: Request) -> ShownFrame:
     """What a source shows once nothing better follows."""
-    shown = source.show(request, quick=True)
+    shown, deadline = source.show(request, quick=True), time.monotonic() + LONG
     while not shown.finished:
+        assert time.monotonic() < deadline
         shown = source.show(request, quick=True)
     return shown
 

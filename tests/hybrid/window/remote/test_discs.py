@@ -30,6 +30,7 @@ from hybrid.window.messages import Request, ShownView
 from hybrid.window.remote import disc_tracing
 from hybrid.window.remote import server as server_module
 from hybrid.window.remote.disc_messages import (
+    DISC,
     MOST_PIXELS,
     DiscMessage,
     DiscWanted,
@@ -43,7 +44,7 @@ from hybrid.window.remote.source import RemoteSource
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
-from tests.hybrid.window.remote.conftest import ACUITY, LONG, shown_at_last, until
+from tests.hybrid.window.remote.conftest import ACUITY, LONG, admitted, shown_at_last, until
 
 DISPLAY = DISPLAYS["desktop"]
 WANTED = DiscWanted(20.0, 15.0, 1)
@@ -373,6 +374,39 @@ class TestStreaming:
             source.close()
         assert served.server.facts["faults"] == 0
         assert served.server.facts["discs"] > 10
+
+    def test_another_disc_is_that_of_the_next_view(self, serve, camera):
+        """Whoever asks for one, and says later where it looks, has one for that view."""
+        none, found = DiscWanted(0.0, 0.0, 1), []
+        with serve() as served, admitted(served) as connection:
+            for sequence, wanted in enumerate((WANTED, none), 1):
+                connection.send(wanted.packed())
+                # The server is no longer busy with anything.
+                time.sleep(0.1)
+                connection.send(view(camera, Gaze(), sequence).packed())
+                while len(found) < sequence:
+                    message = connection.recv(timeout=LONG)
+                    if message[0] == DISC:
+                        found.append(DiscMessage.unpacked(message).sequence)
+        assert found == [1, 2]
+
+    def test_the_last_disc_is_the_last_one_of_its_view_alone(self, serve, camera):
+        with serve() as served:
+            remote = served.link()
+            remote.want(WANTED)
+            remote.look(camera, Gaze(), DISPLAY)
+            until(remote, lambda: remote.disc_is_final)
+            remote.look(camera, Gaze(0.6), DISPLAY)
+            assert not remote.disc_is_final
+            until(remote, lambda: remote.disc_is_final)
+            remote.want(replace(WANTED, fov_a=30.0))
+            assert not remote.disc_is_final
+            until(remote, lambda: remote.disc_is_final)
+            # Somewhere else and back, sooner than a disc of that can come.
+            remote.look(camera, Gaze(0.7), DISPLAY)
+            remote.look(camera, Gaze(0.6), DISPLAY)
+            until(remote, lambda: remote.disc_is_final and remote.is_current)
+            remote.close()
 
     def test_when_a_client_leaves_another_one_gets_its_disc(self, serve, traced, box):
         with serve(traced=traced, given=traced[1]) as served:

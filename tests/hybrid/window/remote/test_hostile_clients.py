@@ -7,7 +7,6 @@ import itertools
 import re
 import socket
 import struct
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,19 +18,9 @@ from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
 from hybrid.window.remote.protocol import FOREST_WANTED, SUBPROTOCOL, VIEW, MaskMessage, ViewMessage
 from tests.extremes import extreme
-from tests.hybrid.window.remote.conftest import LONG, TOKEN, until
+from tests.hybrid.window.remote.conftest import LONG, PROTOCOLS, TOKEN, admitted, until
 
 DISPLAY = DISPLAYS["desktop"]
-PROTOCOLS = {"subprotocols": [SUBPROTOCOL], "compression": None, "proxy": None}
-
-
-@contextlib.contextmanager
-def admitted(served, **named) -> Iterator[ClientConnection]:
-    """A connection with the token, which has had its welcome."""
-    headers = {"Authorization": f"Bearer {TOKEN}"}
-    with connect(served.address, additional_headers=headers, **PROTOCOLS, **named) as connection:
-        connection.recv(timeout=LONG)
-        yield connection
 
 
 def view(camera, sequence: int = 1, held: int = 0) -> bytes:
