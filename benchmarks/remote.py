@@ -199,7 +199,7 @@ def jumps(remote: Remote, scene: Scene, forest: Forest) -> dict[str, Any]:
 
 
 def _truth(renderer: LiveRenderer, settings: FrameSettings) -> tuple[Bits, Image, Image]:
-    """(H, W) where a frame is path-traced alone, its image, and those pixels (N, 3) of many samples in sRGB."""
+    """Where a frame is path-traced alone (H, W), its image, and those pixels (N, 3) of many samples, sRGB."""
     frame = renderer.frame(settings)
     fovea, first = frame.weight_image() >= 1, frame.composite.copy()
     for seed in range(_SEEDS):

@@ -35,13 +35,14 @@ _MOST_PATHS, _MOST_SECONDS = 1 << 19, 0.15
 class _Traced:
     """What a disc was traced for, where it lies, and the frame of the square around it.
 
-    `samples` are those per pixel that are known by now, of which the frame may show fewer.
+    `samples` are those per pixel that are known by now, and `due` those from which the next frame is made.
     """
 
     asked: tuple[View, DiscWanted]
     where: DiscMessage
     frame: Frame
     samples: float
+    due: float
 
 
 class DiscServer:
@@ -68,8 +69,9 @@ class DiscServer:
     def message(self, view: ViewMessage, wanted: DiscWanted, others_wait: bool = False) -> DiscMessage | None:
         """One step towards the disc of a view, or towards a better one if the last one was for the same.
 
-        A better one has twice the samples. None while they are traced, one per pixel in each call, so that
-        whatever is new waits for one of them at most.
+        The first one is made quickly, the next one at leisure, and each one after that of twice the samples.
+        None while they are traced, one per pixel in each call, so that whatever is new waits for one of them
+        at most.
 
         If others wait for the thread, the disc is no larger than what is traced in a seventh of a second.
         """
@@ -80,19 +82,20 @@ class DiscServer:
             last = self._begun(view, wanted, others_wait)
             if last is None:
                 return DiscMessage(view.sequence)
-        elif last.samples + 1 < min(2 * last.frame.fovea.samples.mean_count(), _ENOUGH):
+            final = False
+        elif last.samples + 1 < min(last.due, _ENOUGH):
             samples = self._renderer.add_samples(last.frame, 1, self._seed)
             self._last = replace(last, samples=samples.mean_count())
             return None
         else:
             frame = self._renderer.refined(last.frame, 1, self._seed, quick=False)
-            last = replace(last, frame=frame, samples=frame.fovea.samples.mean_count())
+            count = frame.fovea.samples.mean_count()
+            last, final = replace(last, frame=frame, samples=count, due=2 * count), count >= _ENOUGH
         self._last, frame, where = last, last.frame, last.where
         # Without the blend, which is made with the client's own splats.
         image = frame.image.packed().changed(frame.fovea.disc.pixels, frame.fovea.radiance)
         pixels = srgb_bytes(image.arrays, image.values, (where.side, where.side, 3))
         near = np.asarray(nearness(frame.camera, self._renderer.tracer))
-        final = last.samples >= _ENOUGH
         where = replace(where, sequence=view.sequence, spp=last.samples, final=final)
         return replace(where, **content_of(pixels, near, final))
 
@@ -138,4 +141,5 @@ class DiscServer:
         fov_a = 100 * radius / camera.height
         where = DiscMessage(view.sequence, left, top, side, fov_a, share * fov_a)
         frame = self._renderer.frame(settings, self._seed)
-        return _Traced((view.view, wanted), where, frame, frame.fovea.samples.mean_count())
+        count = frame.fovea.samples.mean_count()
+        return _Traced((view.view, wanted), where, frame, count, count + 1)

@@ -137,8 +137,12 @@ class TestTracing:
         other = server.message(view(box, Gaze(0.6, 0.5), 8), WANTED)
         assert other is not None
         assert not other.final
+        # What is known of it is shown at once, and better after a single sample.
+        again = [next_message(server, view(box, Gaze(), number)) for number in (9, 10)]
+        assert again[0].spp > 2
+        assert again[1].spp == pytest.approx(again[0].spp + 1)
         server.forget()
-        assert next_message(server, view(box, Gaze(), 9)).spp == 1
+        assert next_message(server, view(box, Gaze(), 11)).spp == 1
 
     def test_another_view_waits_for_one_sample_of_the_last_at_most(self, traced, box, monkeypatch):
         server, counts = DiscServer(*traced, ACUITY), []
