@@ -20,7 +20,7 @@ from hybrid.evaluation.sweep_catalogue import with_range
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "measured" / "data"
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "measured").glob("*.md")))
+PAGES = (ROOT / "README.md", ROOT / "docs" / "remote.md", *sorted((ROOT / "docs" / "measured").glob("*.md")))
 _BLOCK = re.compile(r"(<!-- figures (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 # Ways to make the fovea, in the order of the tables.
 _MODES = ("raw", "denoised", "fused")
