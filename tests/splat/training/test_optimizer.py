@@ -35,10 +35,10 @@ def test_it_starts_from_copies():
 @pytest.mark.parametrize(
     ("progress", "rates"),
     [
-        (0.0, {"means": 0.15, "log_scales": 0.05, "rotations": 0.004, "opacity_logits": 0.05}),
+        (0.0, {"means": 0.15, "log_scales": 0.1, "rotations": 0.016, "opacity_logits": 0.05}),
         # Half-way between the ends on a logarithmic scale: the root of their product.
-        (0.5, {"means": 0.03, "log_scales": 0.0223607, "rotations": 0.002, "opacity_logits": 0.0223607}),
-        (1.0, {"means": 0.006, "log_scales": 0.01, "rotations": 0.001, "opacity_logits": 0.01}),
+        (0.5, {"means": 0.03, "log_scales": 0.0447214, "rotations": 0.008, "opacity_logits": 0.0223607}),
+        (1.0, {"means": 0.006, "log_scales": 0.02, "rotations": 0.004, "opacity_logits": 0.01}),
     ],
 )
 def test_the_first_step_is_as_long_as_the_rate(progress, rates):
@@ -116,7 +116,7 @@ def test_only_the_chosen_ones_move_and_each_counts_its_own_steps():
 def test_a_step_is_that_of_torch():
     g = gaussians(n=5, degree=1)
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in g.tensors()}
-    rates = {"means": 0.15, "log_scales": 0.05, "rotations": 0.004, "opacity_logits": 0.05}
+    rates = {"means": 0.15, "log_scales": 0.1, "rotations": 0.016, "opacity_logits": 0.05}
     adam = torch.optim.Adam(
         [{"params": [leaves[name]], "lr": rate} for name, rate in rates.items()], eps=1e-15
     )
