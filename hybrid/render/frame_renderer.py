@@ -385,10 +385,10 @@ class LiveRenderer(Renderer):
 
         Returns all that are known.
         """
-        settings = frame.settings
+        settings, disc, under = replace(frame.settings, spp=spp), frame.fovea.disc, frame.underlay
         self._relight(settings)
-        maker, disc = self.fovea_of(settings), frame.fovea.disc
-        return maker.trace(settings.fovea, frame.camera, disc, spp, seed, frame.underlay, self._is_quick)[1]
+        maker, spp = self.fovea_of(settings), settings.traced_spp
+        return maker.trace(settings.fovea, frame.camera, disc, spp, seed, under, self._is_quick)[1]
 
     def forget(self) -> None:
         """Drops everything that is known from earlier frames."""

@@ -104,7 +104,7 @@ class Remote:
         self.changed = threading.Event()
         self._view: View | None = None
         self._wanted: DiscWanted | None = None
-        # What disc the server was told to be wanted, and from which view on.
+        # From which view on the server knows what disc is wanted, and that disc.
         self._told: tuple[int, DiscWanted | None] = 1, None
         # What the newest disc is the last one for.
         self._final_for: tuple[View, DiscWanted | None] | None = None
@@ -151,7 +151,7 @@ class Remote:
     @property
     def disc_is_final(self) -> bool:
         """Whether no other disc will follow for the view and the disc that were asked for last."""
-        return self._final_for is not None and self._final_for == (self._view, self._wanted)
+        return self._final_for == (self._view, self._wanted)
 
     def _is_of_view(self, sequence: int) -> bool:
         """Whether what was sent with a number is the view that was asked for last."""
@@ -250,7 +250,7 @@ class Remote:
 
     async def _send_views(self, connection: ClientConnection, received: _Received) -> None:
         pace, due = 1 / (_PACE * self.welcome.rate), 0.0
-        told: DiscWanted | None = None
+        self._told = self.sent[0] + 1, None
         while True:
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._news.wait(), _AGAIN)
@@ -258,14 +258,15 @@ class Remote:
             self._news.clear()
             view, (sequence, _) = self._view, self.sent
             is_answered = self._is_of_view(received.sequence) and not received.has_missed
-            if view is None or (is_answered and told == self._wanted):
+            is_told = self._told[1] == self._wanted
+            if view is None or (is_answered and is_told):
                 continue
             received.has_missed = False
             due = time.monotonic() + pace
-            if self._wanted is not None and self._wanted != told:
-                told = self._wanted
-                self._told = sequence + 1, told
-                await connection.send(told.packed())
+            if self._wanted is not None and not is_told:
+                wanted = self._wanted
+                self._told = sequence + 1, wanted
+                await connection.send(wanted.packed())
             # Before it is sent: its mask may come at once.
             self.sent = sequence + 1, view
             self._views[sequence + 1] = view

@@ -6,7 +6,6 @@ import math
 import time
 from dataclasses import dataclass, replace
 
-import drjit as dr
 import numpy as np
 
 from compose.eye.gaze import Gaze
@@ -108,7 +107,6 @@ class DiscServer:
         begin = time.monotonic()
         traced = self._traced(view, wanted, most)
         if traced is not None:
-            dr.sync_thread()
             # The first ones compile kernels; what was once possible is forgotten slowly.
             took = (time.monotonic() - begin) / (traced.frame.region.count * traced.frame.settings.spp)
             self._pace = min(took, _SLOWER * self._pace) if self._pace else took
