@@ -20,7 +20,7 @@ from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightChoice
 from pathtrace.cache.transport import Patches, Rays, Transfer, Transport
-from pathtrace.fill.filling import fill_cache
+from pathtrace.fill.filling import at_depth_of, fill_cache
 from pathtrace.fill.relight import Relighting
 from pathtrace.region.neighbourhood import choose_views
 from pathtrace.scene.scene import Scene
@@ -110,14 +110,19 @@ _VIEWS = 8
 
 
 def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
-    """The stored cache of a scene; if there is none, it is filled in seconds and stored."""
-    file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
+    """The stored cache of a scene; if there is none, it is filled in seconds and stored.
+
+    One file serves all path depths: what is stored is how light passes from cell to cell.
+    """
+    own = scene.at_depth(scene.own_depth)
+    file = scene_folder(own.name, own.hash) / "irradiance.safetensors"
 
     def filled() -> IrradianceCache:
         with bars("irradiance (steps)") as bar:
-            return filled_cache(scene, bar)
+            return filled_cache(own, bar)
 
-    return stored_cache(file, filled)
+    cache = stored_cache(file, filled)
+    return cache if scene.hash == own.hash else at_depth_of(scene, cache)
 
 
 def filled_cache(scene: Scene, progress: Steps = no_progress) -> IrradianceCache:

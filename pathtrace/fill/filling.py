@@ -189,6 +189,12 @@ def segments_beyond_cache(scene: Scene) -> int:
     return max(1, scene.max_depth - 2) if scene.max_depth >= 0 else -1
 
 
+def at_depth_of(scene: Scene, cache: IrradianceCache) -> IrradianceCache:
+    """A cache of a scene that was filled at another path depth, in the light of that of the scene."""
+    transfer = cache.transfer
+    return replace(cache, irradiance=transfer.irradiance(segments_beyond_cache(scene))[:, transfer.known])
+
+
 def fill_cache(
     scene: Scene,
     cameras: Sequence[Camera],

@@ -38,6 +38,19 @@ def test_a_scenes_cache_is_filled_once(scene, monkeypatch):
     np.testing.assert_array_equal(cache_for(scene).irradiance, cache.irradiance)
 
 
+def test_one_fill_serves_all_path_depths(scene):
+    cache, shorter, unbounded = (cache_for(at) for at in (scene, scene.at_depth(3), scene.at_depth(-1)))
+    assert not scene_folder(scene.name, scene.at_depth(3).hash).exists()
+    # Of the same points and rays: light of at most three segments is part of that of all.
+    np.testing.assert_array_equal(cache.transfer.direct, shorter.transfer.direct)
+    assert (shorter.irradiance[-1] <= cache.irradiance[-1] + 1e-6).all()
+    assert (cache.irradiance[-1] <= unbounded.irradiance[-1] + 1e-6).all()
+    filled = irradiance.filled_cache(scene.at_depth(3))
+    assert len(shorter.irradiance) == len(filled.irradiance)
+    assert shorter.irradiance[-1].mean() == pytest.approx(filled.irradiance[-1].mean(), rel=0.05)
+    assert shorter.irradiance[-1].mean() < 0.9 * unbounded.irradiance[-1].mean()
+
+
 def test_cached_frames_are_close_to_unbiased_ones(scene, forest):
     renderer = Renderer(scene, forest)
     path, cached = (
