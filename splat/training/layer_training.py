@@ -68,6 +68,7 @@ class LayerTraining:
         seed: determines the order of the views and the new Gaussians.
         motion, light: as for `Trainer`, in the coordinates of the views.
         all_harmonics: as in `TrainingSettings`.
+        mobility: learning rate of positions, over that of seeds.
 
     Attributes:
         done, skipped: steps so far, and those that changed nothing: their loss or gradient was not finite.
@@ -89,6 +90,7 @@ class LayerTraining:
         motion: Dynamics | None = None,
         light: SurfaceLight | None = None,
         all_harmonics: bool = False,
+        mobility: float = 1.0,
     ):
         self._motion, self._all_harmonics = motion, all_harmonics
         self._light = None if light is None else NodeLight(light)
@@ -98,7 +100,7 @@ class LayerTraining:
         still = motion is None and light is None
         self._device = arrays.device if still else HOST
         self._targets = [FrameTarget(arrays, torch.from_numpy(v.radiance).to(self._device)) for v in views]
-        self._pixel = pixel_footprint(views)
+        self._pixel = mobility * pixel_footprint(views)
         labels = [view.instance for view in views if view.instance is not None]
         self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
         # Where all or nothing moves, there is nothing to tell; labels of known courses are exact.

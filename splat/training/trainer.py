@@ -41,6 +41,9 @@ _ALONE = 0.4
 _ALONE_AGAIN = 0.6
 # Share of the later steps that the finest layer gets, which has four times the pixels of the next one.
 _FINEST = 0.6
+# Learning rate of the positions of nodes that were merged from finer ones, which are about where they should
+# be, over that of seeds.
+_MERGED = 0.25
 # Share of the steps up to which their number can change: of what is still due, nothing is missed then.
 _OPEN = 0.7
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
@@ -163,8 +166,10 @@ class Trainer:
         self._layers: list[LayerTraining] = []
         self.iteration = 0
         for index, steps in enumerate(self._scheduled()):
-            images = at_resolution(views, settings.layers - 1 - index)
-            self._layers.append(LayerTraining(arrays, images, steps, [settings.seed, index], *further))
+            coarser = settings.layers - 1 - index
+            images, mobility = at_resolution(views, coarser), _MERGED if coarser else 1.0
+            training = LayerTraining(arrays, images, steps, [settings.seed, index], *further, mobility)
+            self._layers.append(training)
         rng = np.random.default_rng([settings.seed, 0])
         if start is None:
             lit = None if self.light is None else NodeLight(self.light)
@@ -207,7 +212,7 @@ class Trainer:
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
         """Trains up to iteration `until`, by default to the end; tells `progress` the steps after each."""
-        while self.iteration < (until or self.settings.iterations):
+        while self.iteration < (self.settings.iterations if until is None else until):
             self._step()
             self.iteration += 1
             progress(self.iteration)

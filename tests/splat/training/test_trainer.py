@@ -11,11 +11,12 @@ import torch
 
 from splat.model.forest import forest_of
 from splat.model.gaussians import perceptual_from_radiance
+from splat.model.points import remoteness
 from splat.model.trees import check_forest
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.trainer import Trainer, TrainingSettings, most_layers, training_schedule
-from splat.training.training_view import reduced
+from splat.training.training_view import pixel_footprint, reduced
 from tests.splat.samples import equal
 from tests.splat.training.frames import WALLS, closed_sphere, wall
 
@@ -115,6 +116,20 @@ def test_children_follow_their_parents_through_a_change_of_density(arrays, often
     # An optimizer step moves nodes by less than this; other nodes lie further away.
     moved = coarse.layer.gaussians.means[:, new[kept]] - means[:, old[kept]]
     assert moved.abs().max() < 0.02
+
+
+def test_merged_nodes_move_a_quarter_of_what_seeds_do(arrays):
+    trainer = Trainer(arrays, WALLS, SETTINGS)
+    first = [int(np.argmax(trainer._schedule == number)) for number in (1, 0)]
+    moved = []
+    for number, iteration in zip((1, 0), first, strict=True):
+        trainer.run(until=iteration)
+        means = trainer.forest()[number].gaussians.means.clone()
+        trainer.run(until=iteration + 1)
+        pixel = pixel_footprint(trainer._layers[number].views)
+        after = trainer._layers[number].layer.gaussians.means
+        moved.append(float(((after - means).abs() / remoteness(means)).max()) / pixel)
+    assert moved[1] == pytest.approx(0.25 * moved[0], rel=0.01)
 
 
 def test_the_coarse_layer_looks_right_at_its_own_resolution(arrays, trained):
