@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hard_scenes import SCENES
-from benchmarks.tables import DATA, ROOT
+from benchmarks.tables import BUDGETS, DATA, ROOT
 
 # What stands for scene files of others, and where these lie.
 OTHERS = {
@@ -51,6 +51,11 @@ MEASUREMENTS = {
     "prepare-staircase2": "hybrid prepare STAIRCASE -o staircase2.forest --held-out 4 --minutes 1.5 --seed 5",
     "prepare-room-moving": "hybrid prepare room-moving -o moving.forest --held-out 4 --minutes 3 --seed 5",
     **{f"prepare-{name}": _PREPARED.format(name) for name in SCENES},
+    **{
+        f"budget-{seconds}": f"hybrid prepare room -o room-{seconds}.forest --held-out 4 "
+        f"--minutes {seconds / 60:g} --seed 5"
+        for seconds in BUDGETS
+    },
     "frame": f"hybrid bench frame room {_FRAMES}",
     "resolution": f"hybrid sweep room --over resolution --repeats 9 {_FRAMES}",
     "radius": f"hybrid sweep room --over radius --repeats 5 {_FRAMES}",
@@ -107,10 +112,11 @@ def measure(name: str, work: Path, places: dict[str, Path]) -> None:
         subprocess.run(
             [sys.executable, *words, "--json", str(result)],
             cwd=work,
-            # Nothing prepared before is taken; compiled kernels are. The window needs no screen.
+            # What begins without a forest takes nothing prepared before, not even by another measurement;
+            # compiled kernels are kept. The window needs no screen.
             env={
                 **os.environ,
-                "HYBRID_HOME": str(work / "home"),
+                "HYBRID_HOME": str(work / ("home" if "--forest" in command else f"home-{name}")),
                 "QT_QPA_PLATFORM": "offscreen",
                 "PYTHONPATH": str(ROOT),
             },

@@ -28,6 +28,8 @@ _METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideo
 _DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
 # Of an evaluation, by region and metric.
 EVALUATED = ("whole ssim", "whole jod", "foveal psnr", "foveal flip", "foveal jod")
+# Seconds that `room` is prepared in.
+BUDGETS = (15, 30, 60, 180, 600)
 # Decibels from which on pictures count as the same.
 _EXACT = 119.0
 Row = dict[str, Any]
@@ -118,6 +120,17 @@ def _prepared_scenes(*scenes: str) -> str:
         for line in _rows(f"{scene} | {form}", result(name)["curve"])
     ]
     return _table("scene | after | Gaussians | PSNR, dB (worst view) | SSIM", rows, *names)
+
+
+def budgets() -> str:
+    """Held-out quality of one scene by the time that it is prepared in."""
+    form = "{used:.0f} s | {gaussians:,} | {psnr:.1f} ({least_psnr:.1f}) | {ssim:.3f}"
+    names = [f"budget-{seconds}" for seconds in BUDGETS]
+    rows = [
+        f"{asked} s | " + form.format_map({**found["curve"][-1], "used": found["seconds"]})
+        for asked, found in zip(BUDGETS, map(result, names), strict=True)
+    ]
+    return _table("asked | taken | Gaussians | PSNR, dB (worst view) | SSIM", rows, *names)
 
 
 def resolution(name: str = "resolution") -> str:
@@ -613,6 +626,7 @@ _MADE = (
 TABLES: dict[str, Callable[[], str]] = {
     **{made.__name__: made for made in _MADE},
     "prepare": lambda: _prepared_scenes("room", "staircase2", "room-moving"),
+    "budgets": budgets,
     "hard_scenes": lambda: _prepared_scenes(*SCENES),
     "card-frames": lambda: frames("card-frame"),
     "card-resolution": lambda: resolution("card-resolution"),
