@@ -180,14 +180,20 @@ class _Job:
         while self.planner.begin(self.curve):
             forest = self._staged(frames, forest)
             self._judge(judges, forest)
-        assert forest is not None
-        forest = self._finished(frames, forest)
+        forest = self._finished(frames, load_forest(self.folder / _STAGE.format(self._best)))
         if self.settings.quality != GLIMPSE:
             store_forest(forest, self.folder.name)
         facts = self._facts(forest, frames)
         facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
         self._conclude(facts)
         return Prepared(forest, facts)
+
+    @property
+    def _best(self) -> int:
+        """Number of the stage whose forest is kept: the last, or where a PSNR is asked for, the best one."""
+        if self.settings.psnr is None:
+            return len(self.curve) - 1
+        return max(range(len(self.curve)), key=lambda number: self.curve[number].get("psnr", 0.0))
 
     def _go_on(self, frames: GrowingFrames) -> None:
         """Takes over what another preparation has, if this one goes on from it."""
@@ -356,11 +362,11 @@ class _Job:
 
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
         """What was reached, and what limits it; the latter is None without held-out views."""
-        samples, last = frames.samples, self.curve[-1]
+        samples, found = frames.samples, self.curve[self._best]
         seconds = self.planner.journal.once("total", self.planner.clock.seconds)
         with self.planner.clock.stopped():
             trained = trained_psnr(frames, forest)
-        limit = limit_of(self.passes[-1].error_db, trained, last["psnr"]) if "psnr" in last else None
+        limit = limit_of(self.passes[-1].error_db, trained, found["psnr"]) if "psnr" in found else None
         return {
             "scene": self.scene.name,
             "region": self.region.name,
@@ -370,7 +376,7 @@ class _Job:
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
             "frame_error_db": self.passes[-1].error_db,
             "converging_seconds": converging_seconds(self.passes),
-            "splat": {name: last[name] for name in ("psnr", "ssim", "least_psnr") if name in last},
+            "splat": {name: found[name] for name in ("psnr", "ssim", "least_psnr") if name in found},
             "curve": self.curve,
             "forest": str(self.folder / "forest.safetensors"),
             "trained_psnr": trained,

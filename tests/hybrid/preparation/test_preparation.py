@@ -147,6 +147,18 @@ def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_pa
     assert newest_forest(scene) is not None
 
 
+def test_the_best_forest_is_kept_where_a_psnr_is_asked_for(scene, tmp_path, monkeypatch):
+    quality, psnr = module.Judges.quality, iter((12.0, 15.0, 13.0))
+    found = lambda judges, forest: quality(judges, forest) | {"psnr": next(psnr)}  # noqa: E731
+    monkeypatch.setattr(module.Judges, "quality", found)
+    with pytest.raises(UserError, match=r"15\.00 dB are"):
+        prepare(scene, replace(DRAFT, psnr=90.0), no_bars, tmp_path)
+    kept = newest_forest(scene)
+    assert kept is not None
+    means = [load_forest(tmp_path / f"stage-{number}.safetensors").finest.means for number in (1, 2)]
+    assert [load_forest(kept).finest.means.equal(of_stage) for of_stage in means] == [True, False]
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
