@@ -180,7 +180,9 @@ class _Job:
         while self.planner.begin(self.curve):
             forest = self._staged(frames, forest)
             self._judge(judges, forest)
-        forest = self._finished(frames, load_forest(self.folder / _STAGE.format(self._best)))
+        # Stages of another preparation that this one goes on from have no rows.
+        best = self.planner.number + 1 - len(self.curve) + self._best
+        forest = self._finished(frames, load_forest(self.folder / _STAGE.format(best)))
         if self.settings.quality != GLIMPSE:
             store_forest(forest, self.folder.name)
         facts = self._facts(forest, frames)
@@ -190,7 +192,7 @@ class _Job:
 
     @property
     def _best(self) -> int:
-        """Number of the stage whose forest is kept: the last, or where a PSNR is asked for, the best one."""
+        """Row of the stage whose forest is kept: the last, or where a PSNR is asked for, the best one."""
         if self.settings.psnr is None:
             return len(self.curve) - 1
         return max(range(len(self.curve)), key=lambda number: self.curve[number].get("psnr", 0.0))
