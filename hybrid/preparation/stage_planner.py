@@ -44,7 +44,7 @@ _FEWER = np.geomspace(1.0, 0.5, 8).tolist()
 # Least share of a stage's steps that are trained once its frames are there.
 _LEAST_STEPS = 0.1
 # What steps take over those of the first third of a training that goes on: there are more Gaussians, but in
-# the end two of five steps are of coarser layers.
+# the end most steps are of coarser layers.
 _LATER = 0.9
 # Views of the first stage that tell how large it can be.
 PROBED = 3

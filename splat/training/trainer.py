@@ -36,11 +36,7 @@ from splat.training.training_view import (
 )
 
 # Share of the steps before the forest is built.
-_ALONE = 0.4
-# The same where the finest layer is known from an earlier training, and grows by what that did not know.
-_ALONE_AGAIN = 0.6
-# Share of the later steps that the finest layer gets, which has four times the pixels of the next one.
-_FINEST = 0.6
+_ALONE = 0.5
 # Learning rate of the positions of nodes that were merged from finer ones, which are about where they should
 # be, over that of seeds.
 _MERGED = 0.25
@@ -161,7 +157,6 @@ class Trainer:
             self._field = FieldOptimizer(learned, settings.iterations)
         focal = finest_focal(views) / _ABOUT_AS_FINE
         self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
-        self._alone = _ALONE if start is None else _ALONE_AGAIN
         further = self.motion, self.light, settings.all_harmonics
         self._layers: list[LayerTraining] = []
         self.iteration = 0
@@ -185,7 +180,7 @@ class Trainer:
 
     def _scheduled(self) -> list[int]:
         """Schedules all steps; returns how many each layer still gets."""
-        self._schedule = training_schedule(self.settings, self._alone)
+        self._schedule = training_schedule(self.settings)
         self._settling = int(_SETTLED * self.settings.iterations)
         return np.bincount(self._schedule[self.iteration :], minlength=self.settings.layers).tolist()
 
@@ -301,13 +296,10 @@ def _require_enough(
         raise ValueError(f"frames of {width} x {height} pixels are too small for {settings.layers} layers")
 
 
-def training_schedule(settings: TrainingSettings, alone: float = _ALONE) -> np.ndarray:
-    """(iterations,) index of the layer that each step trains; all are the finest for the share `alone`."""
-    finest = settings.layers - 1
-    schedule = np.full(settings.iterations, finest)
-    if finest:
-        later = int(alone * settings.iterations)
-        shares = [(1 - _FINEST) / finest] * finest + [_FINEST]
-        rng = np.random.default_rng([settings.seed, 3])
-        schedule[later:] = rng.choice(settings.layers, settings.iterations - later, p=shares)
+def training_schedule(settings: TrainingSettings) -> np.ndarray:
+    """(iterations,) index of the layer that each step trains; the finest alone, and then all alike."""
+    schedule = np.full(settings.iterations, settings.layers - 1)
+    later = int(_ALONE * settings.iterations)
+    rng = np.random.default_rng([settings.seed, 3])
+    schedule[later:] = rng.choice(settings.layers, settings.iterations - later)
     return schedule
