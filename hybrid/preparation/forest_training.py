@@ -209,8 +209,9 @@ def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
 
 
 # Steps of which the first ones are slow, and after which it is told for the first time how long one takes;
-# then whenever there are twice as many, and at last after this share of the training.
-_SLOW, _FIRST_TOLD, _TELLING = 3, 8, 0.6
+# then whenever there are twice as many, and at last after this share of the training: the trees are built
+# then, which takes seconds.
+_SLOW, _FIRST_TOLD, _TELLING = 3, 8, 0.5
 
 
 def _run(trainer: Trainer, checkpoint: Path, frames: Frames, progress: Steps, paced: Paced | None) -> None:
