@@ -94,14 +94,14 @@ def test_ctrl_c_leaves_a_checkpoint_and_the_next_run_ends_the_same(
 
 
 def test_the_first_steps_tell_how_many_there_will_be(frames, training_settings, tmp_path):
-    """They are asked amid all layers, too, and it holds after an interruption."""
+    """It holds after an interruption."""
     settings, asked, told = replace(training_settings, iterations=60), [], []
 
     def paced(seconds: float, done: int, fewest: int) -> int:
         assert 0 < seconds < 60
         assert fewest == math.ceil(done / 0.7)
         asked.append(done)
-        return {8: 50, 16: 45, 27: 44}[done]
+        return {8: 50, 16: 45, 22: 44}[done]
 
     def interrupt(done: int, total: int) -> None:
         told.append(total)
@@ -109,19 +109,19 @@ def test_the_first_steps_tell_how_many_there_will_be(frames, training_settings, 
             signal.raise_signal(signal.SIGINT)
 
     whole = train(frames, tmp_path / "whole", settings, paced=paced)
-    assert asked == [8, 16, 27]
+    assert asked == [8, 16, 22]
     for known in (60, 50):
         resumed = replace(settings, iterations=known)
         with pytest.raises(KeyboardInterrupt):
             train(frames, tmp_path / "parts", resumed, interrupt, paced=paced)
-    assert asked == [8, 16, 27] * 2
-    assert told == [60] * 8 + [50] * 8 + [45] * 11 + [44] * 3
+    assert asked == [8, 16, 22] * 2
+    assert told == [60] * 8 + [50] * 8 + [45] * 6 + [44] * 8
     parts = train(frames, tmp_path / "parts", replace(settings, iterations=44))
     # What a stage does not learn yet.
     assert parts.digest() == with_errors(frames, whole).digest()
     # The others are over before anybody could tell.
     train(frames, tmp_path / "short", training_settings, paced=paced)
-    assert asked == [8, 16, 27] * 2
+    assert asked == [8, 16, 22] * 2
 
 
 def test_a_checkpoint_is_saved_every_thirty_seconds(frames, training_settings, tmp_path, monkeypatch):
