@@ -29,7 +29,7 @@ from splat.model.dynamic_light import SurfaceLight
 from splat.model.forest import Forest, forest_of
 from splat.model.motion import NodeMotion
 from splat.model.trees import check_forest
-from splat.training.trainer import Trainer, TrainingSettings, most_layers
+from splat.training.trainer import ALONE, Trainer, TrainingSettings, most_layers
 from splat.training.training_view import finest_focal
 
 _LOG = logging.getLogger("hybrid")
@@ -209,9 +209,8 @@ def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
 
 
 # Steps of which the first ones are slow, and after which it is told for the first time how long one takes;
-# then whenever there are twice as many, and at last after this share of the training: the trees are built
-# then, which takes seconds.
-_SLOW, _FIRST_TOLD, _TELLING = 3, 8, 0.5
+# then whenever there are twice as many, and at last before trees are built.
+_SLOW, _FIRST_TOLD = 3, 8
 
 
 def _run(trainer: Trainer, checkpoint: Path, frames: Frames, progress: Steps, paced: Paced | None) -> None:
@@ -240,7 +239,7 @@ def _run(trainer: Trainer, checkpoint: Path, frames: Frames, progress: Steps, pa
 def _pace(trainer: Trainer, checkpoint: Path, step: Callable[[int], None], paced: Paced) -> None:
     """Trains as long as steps tell how many there can be."""
     told, slow = 0, _SLOW
-    while (until := max(_FIRST_TOLD, min(2 * told, int(_TELLING * trainer.settings.iterations)))) > told:
+    while (until := max(_FIRST_TOLD, min(2 * told, int(ALONE * trainer.settings.iterations)))) > told:
         # Unless this run began later.
         if trainer.iteration + slow < until:
             trainer.run(step, trainer.iteration + slow)

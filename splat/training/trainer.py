@@ -35,8 +35,8 @@ from splat.training.training_view import (
     placed,
 )
 
-# Share of the steps before the forest is built.
-_ALONE = 0.5
+# Share of the steps before the forest is built, which takes seconds.
+ALONE = 0.5
 # Learning rate of the positions of nodes that were merged from finer ones, which are about where they should
 # be, over that of seeds.
 _MERGED = 0.25
@@ -299,7 +299,7 @@ def _require_enough(
 def training_schedule(settings: TrainingSettings) -> np.ndarray:
     """(iterations,) index of the layer that each step trains; the finest alone, and then all alike."""
     schedule = np.full(settings.iterations, settings.layers - 1)
-    later = int(_ALONE * settings.iterations)
+    later = int(ALONE * settings.iterations)
     rng = np.random.default_rng([settings.seed, 3])
     schedule[later:] = rng.choice(settings.layers, settings.iterations - later)
     return schedule
